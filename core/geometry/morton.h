@@ -1,0 +1,70 @@
+#ifndef MAPSIEVE_CORE_GEOMETRY_MORTON_H_
+#define MAPSIEVE_CORE_GEOMETRY_MORTON_H_
+
+#include <cstdint>
+
+#include "core/geometry/lattice.h"
+
+namespace mapsieve::core {
+
+/// Spreads the low 21 bits of `v` to every third bit.
+constexpr uint64_t SpreadBits3(uint64_t v) {
+  v &= 0x1fffff;
+  v = (v | v << 32) & 0x001f00000000ffff;
+  v = (v | v << 16) & 0x001f0000ff0000ff;
+  v = (v | v << 8) & 0x100f00f00f00f00f;
+  v = (v | v << 4) & 0x10c30c30c30c30c3;
+  v = (v | v << 2) & 0x1249249249249249;
+  return v;
+}
+
+/// The inverse of SpreadBits3.
+constexpr uint64_t GatherBits3(uint64_t v) {
+  v &= 0x1249249249249249;
+  v = (v | v >> 2) & 0x10c30c30c30c30c3;
+  v = (v | v >> 4) & 0x100f00f00f00f00f;
+  v = (v | v >> 8) & 0x001f0000ff0000ff;
+  v = (v | v >> 16) & 0x001f00000000ffff;
+  v = (v | v >> 32) & 0x1fffff;
+  return v;
+}
+
+/// Morton code of three coordinates of at most 21 bits; x is the lowest bit.
+constexpr uint64_t MortonCode(uint64_t x, uint64_t y, uint64_t z) {
+  return SpreadBits3(x) | SpreadBits3(y) << 1 | SpreadBits3(z) << 2;
+}
+
+/// The order of lattice points and of cells of one level everywhere in the
+/// project: that of the Morton codes of the coordinates with the sign bit
+/// flipped, without building the codes (which need 129 bits).
+constexpr bool MortonLess(int64_t ax, int64_t ay, int64_t az, int64_t bx,
+                          int64_t by, int64_t bz) {
+  // A xor below another's highest set bit is smaller; z decides on equal bits.
+  const auto less_msb = [](uint64_t a, uint64_t b) {
+    return a < b && a < (a ^ b);
+  };
+  constexpr uint64_t kSign = uint64_t{1} << 63;
+  uint64_t a = static_cast<uint64_t>(az) ^ kSign;
+  uint64_t b = static_cast<uint64_t>(bz) ^ kSign;
+  uint64_t highest = a ^ b;
+  const auto consider = [&](int64_t p, int64_t q) {
+    const uint64_t up = static_cast<uint64_t>(p) ^ kSign;
+    const uint64_t uq = static_cast<uint64_t>(q) ^ kSign;
+    if (less_msb(highest, up ^ uq)) {
+      highest = up ^ uq;
+      a = up;
+      b = uq;
+    }
+  };
+  consider(ay, by);
+  consider(ax, bx);
+  return a < b;
+}
+
+constexpr bool MortonLess(const LatticePoint& a, const LatticePoint& b) {
+  return MortonLess(a.x, a.y, a.z, b.x, b.y, b.z);
+}
+
+}  // namespace mapsieve::core
+
+#endif  // MAPSIEVE_CORE_GEOMETRY_MORTON_H_

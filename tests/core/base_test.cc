@@ -1,0 +1,78 @@
+#include <atomic>
+#include <stdexcept>
+#include <vector>
+
+#include "core/base/bytes.h"
+#include "core/base/executor.h"
+#include "core/base/hash.h"
+#include "tests/testing/status_matchers.h"
+
+namespace mapsieve {
+namespace {
+
+using ::mapsieve::testing::StatusIs;
+using ::testing::HasSubstr;
+
+TEST(WorkerPool, RunsEveryTaskOnce) {
+  for (const int workers : {1, 2, 5}) {
+    const auto pool = MakeWorkerPool(workers);
+    EXPECT_EQ(pool->worker_count(), workers);
+    for (const int64_t count : {0, 1, 3, 1000}) {
+      std::vector<std::atomic<int>> calls(static_cast<size_t>(count));
+      pool->ParallelFor(count,
+                        [&](int64_t i) { ++calls[static_cast<size_t>(i)]; });
+      for (const auto& n : calls) EXPECT_EQ(n.load(), 1);
+    }
+  }
+}
+
+TEST(WorkerPool, ExceptionLeavesAfterAllTasksAndThePoolLivesOn) {
+  const auto pool = MakeWorkerPool(3);
+  EXPECT_THROW(pool->ParallelFor(100,
+                                 [](int64_t i) {
+                                   if (i == 7)
+                                     throw std::runtime_error("seven");
+                                 }),
+               std::runtime_error);
+  std::atomic<int> sum = 0;
+  pool->ParallelFor(10, [&](int64_t i) { sum += static_cast<int>(i); });
+  EXPECT_EQ(sum.load(), 45);
+}
+
+TEST(ExecutionContext, ReportsAStopAsCancelled) {
+  std::stop_source source;
+  const ExecutionContext context{.stop = source.get_token()};
+  MAPSIEVE_EXPECT_OK(context.CheckStop());
+  source.request_stop();
+  EXPECT_THAT(context.CheckStop(),
+              StatusIs(absl::StatusCode::kCancelled, HasSubstr("cancelled")));
+}
+
+TEST(Hash, MatchesPublishedXxh3Values) {
+  EXPECT_EQ(Hash64({}), 0x2d06800538d394c2u);
+  EXPECT_EQ(ContentHash({}), "99aa06d3014798d86001c324468d497f");
+}
+
+TEST(Hash, ContentHasherDoesNotDependOnThePieces) {
+  const std::string text(100000, 'x');
+  ContentHasher hasher;
+  hasher.Update(TextBytes(text).subspan(0, 17));
+  hasher.Update(TextBytes(text).subspan(17));
+  EXPECT_EQ(hasher.HexDigest(), ContentHash(TextBytes(text)));
+}
+
+TEST(ByteReader, NamesTheFieldAndTheOffsetBeyondTheEnd) {
+  ByteWriter writer;
+  writer.Put<uint16_t>(0x1234);
+  writer.PutShortText("name");
+  ByteReader reader(writer.bytes());
+  EXPECT_EQ(reader.Take<uint16_t>("version").value(), 0x1234);
+  EXPECT_EQ(reader.TakeShortText("column name").value(), "name");
+  EXPECT_THAT(reader.Take<uint32_t>("point count"),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       HasSubstr("point count at offset 8: expected 4 bytes, "
+                                 "have 0")));
+}
+
+}  // namespace
+}  // namespace mapsieve

@@ -1,0 +1,93 @@
+#include <cmath>
+#include <limits>
+
+#include "core/cloud/point_cloud.h"
+#include "tests/testing/status_matchers.h"
+
+namespace mapsieve::core {
+namespace {
+
+using ::mapsieve::testing::StatusIs;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+TEST(ScalarType, NamesCppTypes) {
+  EXPECT_EQ(ScalarTypeOf<int8_t>(), ScalarType::kInt8);
+  EXPECT_EQ(ScalarTypeOf<uint64_t>(), ScalarType::kUint64);
+  EXPECT_EQ(ScalarTypeOf<float>(), ScalarType::kFloat32);
+  EXPECT_EQ(ScalarTypeOf<double>(), ScalarType::kFloat64);
+  for (int i = 1; i <= 10; ++i) {
+    const auto type = static_cast<ScalarType>(i);
+    VisitScalarType(type, [&](auto zero) {
+      EXPECT_EQ(ScalarTypeOf<decltype(zero)>(), type);
+      EXPECT_EQ(sizeof(zero), ScalarSize(type));
+    });
+  }
+}
+
+TEST(Column, KeepsMissingApartFromZero) {
+  Column a({"time", ScalarType::kFloat64});
+  a.Append(0.0);
+  a.AppendMissing(1);
+  a.Append(2.5);
+  EXPECT_FALSE(a.IsMissing(0));
+  EXPECT_TRUE(a.IsMissing(1));
+  EXPECT_EQ(a.GetAsDouble(2), 2.5);
+  Column b({"time", ScalarType::kFloat64}, 1);
+  b.AppendAll(a);
+  EXPECT_EQ(b.size(), 4u);
+  EXPECT_TRUE(b.IsMissing(2));
+  const Column picked = b.Select(std::vector<uint32_t>{3, 2});
+  EXPECT_EQ(picked.Get<double>(0), 2.5);
+  EXPECT_TRUE(picked.IsMissing(1));
+  EXPECT_FALSE(b.Select(std::vector<uint32_t>{0, 3}).has_missing());
+}
+
+TEST(ColumnSet, AppendFillsAbsentColumnsWithMissing) {
+  ColumnSet first;
+  Column a({"a", ScalarType::kInt32});
+  a.Append(int32_t{7});
+  MAPSIEVE_ASSERT_OK(first.Add(a));
+  ColumnSet second;
+  Column b({"b", ScalarType::kUint8});
+  b.Append(uint8_t{9});
+  MAPSIEVE_ASSERT_OK(second.Add(b));
+  MAPSIEVE_ASSERT_OK(first.AppendAll(1, second, 1));
+  EXPECT_TRUE(first.Find("a")->IsMissing(1));
+  EXPECT_TRUE(first.Find("b")->IsMissing(0));
+  EXPECT_EQ(first.Find("b")->Get<uint8_t>(1), 9);
+}
+
+TEST(ColumnSet, RefusesTheSameNameWithAnotherType) {
+  ColumnSet first;
+  MAPSIEVE_ASSERT_OK(first.Add(Column({"a", ScalarType::kInt32}, 1)));
+  EXPECT_THAT(first.Add(Column({"a", ScalarType::kInt32}, 1)),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("\"a\"")));
+  ColumnSet second;
+  MAPSIEVE_ASSERT_OK(second.Add(Column({"a", ScalarType::kFloat32}, 1)));
+  const ColumnSet before = first;
+  EXPECT_THAT(first.AppendAll(1, second, 1),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("int32"), HasSubstr("float32"))));
+  EXPECT_EQ(first, before);
+}
+
+TEST(Quantize, RefusesAndCountsByReason) {
+  PointCloud cloud;
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const double inf = std::numeric_limits<double>::infinity();
+  cloud.positions = {
+      {1, 2, 3}, {nan, 0, 0}, {0, inf, 0}, {0, 0, 1e300}, {4, 5, 6}};
+  Column id({"id", ScalarType::kUint8});
+  for (uint8_t i = 0; i < 5; ++i) id.Append(i);
+  MAPSIEVE_ASSERT_OK(cloud.attributes.Add(id));
+  RefusedCounts refused;
+  const LatticeCloud q = Quantize(cloud, Lattice(), refused);
+  EXPECT_EQ(refused, (RefusedCounts{2, 1}));
+  ASSERT_EQ(q.size(), 2u);
+  EXPECT_EQ(q.positions[1], (LatticePoint{4000, 5000, 6000}));
+  EXPECT_EQ(q.attributes.Find("id")->Get<uint8_t>(1), 4);
+}
+
+}  // namespace
+}  // namespace mapsieve::core
