@@ -1,0 +1,28 @@
+#ifndef MAPSIEVE_CORE_CLOUD_MERGE_DUPLICATES_H_
+#define MAPSIEVE_CORE_CLOUD_MERGE_DUPLICATES_H_
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "core/cloud/point_cloud.h"
+
+namespace mapsieve::core {
+
+/// The rows of `positions` in Morton order; rows of one lattice point keep
+/// their order. At most 2^32 - 1 rows.
+std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions);
+
+/// One row for every distinct lattice point of `cloud`, in Morton order: of
+/// several points in one place, the one with the smallest attributes
+/// (attributes by name, missing before present, then by little-endian bytes).
+/// So the choice depends on the set of points alone.
+std::vector<uint32_t> MergeDuplicates(const LatticeCloud& cloud);
+
+/// MergeDuplicates for points without attributes.
+std::vector<LatticePoint> DistinctPoints(
+    std::span<const LatticePoint> positions);
+
+}  // namespace mapsieve::core
+
+#endif  // MAPSIEVE_CORE_CLOUD_MERGE_DUPLICATES_H_

@@ -1,0 +1,45 @@
+#ifndef MAPSIEVE_CORE_SPDF_CLOUD_FILTER_H_
+#define MAPSIEVE_CORE_SPDF_CLOUD_FILTER_H_
+
+#include <cstdint>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/base/executor.h"
+#include "core/cloud/point_cloud.h"
+#include "core/spdf/labels.h"
+#include "core/spdf/spdf_options.h"
+#include "core/spdf/tile_filter.h"
+
+namespace mapsieve::core {
+
+/// The filter's answer for a cloud in memory.
+struct FilteredCloud {
+  /// Rows of the survivors of the rounds in the input, outliers included; the
+  /// points are in Morton order. Of several points in one lattice cell the one
+  /// with the smallest attributes stands for all.
+  std::vector<uint32_t> rows;
+  LabelColumns columns;
+  SpdfSummary summary;
+
+  /// Numbers (into `rows`) of the points that are no outliers.
+  std::vector<uint32_t> Inliers(double outlier_share) const;
+};
+
+/// FilterTiles over one tile that holds the whole of `cloud`.
+/// Errors: kInvalidArgument (options), kCancelled.
+absl::StatusOr<FilteredCloud> FilterCloud(const LatticeCloud& cloud,
+                                          const SpdfOptions& options,
+                                          const ExecutionContext& context = {});
+
+/// The points of `cloud` at `rows` with what the filter says of them as
+/// attributes: label (uint8), confidence, nx, ny, nz (float32). Attributes of
+/// the input with one of these names become input_<name>. `columns` has one
+/// entry for each of `rows`.
+LatticeCloud MakeLabeledCloud(const LatticeCloud& cloud,
+                              std::span<const uint32_t> rows,
+                              const LabelColumns& columns);
+
+}  // namespace mapsieve::core
+
+#endif  // MAPSIEVE_CORE_SPDF_CLOUD_FILTER_H_

@@ -1,0 +1,46 @@
+#include "core/spdf/kernels.h"
+
+namespace mapsieve::core {
+
+extern const Kernels kPortableKernels;
+#ifdef MAPSIEVE_X86_KERNELS
+extern const Kernels kAvx2Kernels;
+extern const Kernels kAvx512Kernels;
+#endif
+
+namespace {
+
+struct Available {
+  const Kernels* kernels[3] = {&kPortableKernels, nullptr, nullptr};
+  int count = 1;
+  Available() {
+#ifdef MAPSIEVE_X86_KERNELS
+    if (__builtin_cpu_supports("avx2")) kernels[count++] = &kAvx2Kernels;
+    if (__builtin_cpu_supports("avx512f") &&
+        __builtin_cpu_supports("avx512bw") &&
+        __builtin_cpu_supports("avx512dq") &&
+        __builtin_cpu_supports("avx512vl")) {
+      kernels[count++] = &kAvx512Kernels;
+    }
+#endif
+  }
+};
+
+const Available& GetAvailable() {
+  static const Available available;
+  return available;
+}
+
+}  // namespace
+
+const Kernels& ActiveKernels() {
+  const Available& available = GetAvailable();
+  return *available.kernels[available.count - 1];
+}
+
+const Kernels* const* AvailableKernels(int* count) {
+  *count = GetAvailable().count;
+  return GetAvailable().kernels;
+}
+
+}  // namespace mapsieve::core

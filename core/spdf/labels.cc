@@ -1,0 +1,55 @@
+#include "core/spdf/labels.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace mapsieve::core {
+
+std::string_view LabelName(Label label) {
+  switch (label) {
+    case Label::kNone:
+      break;
+    case Label::kJunction:
+      return "junction";
+    case Label::kCurve:
+      return "curve";
+    case Label::kSurface:
+      return "surface";
+  }
+  return "none";
+}
+
+void LabelColumns::Reserve(size_t size) {
+  label.reserve(size);
+  confidence.reserve(size);
+  lambda.reserve(size);
+  normal.reserve(size);
+  tangent.reserve(size);
+}
+
+void LabelColumns::Append(const LabelColumns& other, size_t i) {
+  label.push_back(other.label[i]);
+  confidence.push_back(other.confidence[i]);
+  lambda.push_back(other.lambda[i]);
+  normal.push_back(other.normal[i]);
+  tangent.push_back(other.tangent[i]);
+}
+
+OutlierTest::OutlierTest(const MaxConfidence& max_confidence,
+                         double outlier_share) {
+  for (size_t l = 0; l < kLabelCount; ++l) {
+    threshold_[l] = static_cast<uint32_t>(
+        std::ceil(outlier_share * static_cast<double>(max_confidence[l])));
+  }
+}
+
+MaxConfidence UpdateMaxConfidence(const LabelColumns& columns,
+                                  MaxConfidence so_far) {
+  for (size_t i = 0; i < columns.size(); ++i) {
+    uint16_t& largest = so_far[static_cast<size_t>(columns.label[i])];
+    largest = std::max(largest, columns.confidence[i]);
+  }
+  return so_far;
+}
+
+}  // namespace mapsieve::core

@@ -1,0 +1,73 @@
+#ifndef MAPSIEVE_CORE_SPDF_LABELS_H_
+#define MAPSIEVE_CORE_SPDF_LABELS_H_
+
+#include <array>
+#include <cstdint>
+#include <string_view>
+#include <vector>
+
+#include "core/geometry/octahedral.h"
+
+namespace mapsieve::core {
+
+/// The geometric primitive a point lies on. The numbers are part of the
+/// formats (and libpointmatcher's).
+enum class Label : uint8_t {
+  /// No neighbour within reach: no vote, so no label.
+  kNone = 0,
+  kJunction = 1,
+  kCurve = 2,
+  kSurface = 3,
+};
+inline constexpr size_t kLabelCount = 4;
+
+/// "none", "junction", "curve", "surface".
+std::string_view LabelName(Label label);
+
+using LabelCounts = std::array<int64_t, kLabelCount>;
+/// Largest confidence of each label in a map.
+using MaxConfidence = std::array<uint16_t, kLabelCount>;
+
+/// What the filter says of points, one entry a point in every column.
+struct LabelColumns {
+  std::vector<Label> label;
+  /// Saliency of the point's own label, [0, 1] as 0 to 65535.
+  std::vector<uint16_t> confidence;
+  /// Eigenvalues of the aware vote, descending: saliency of a surface is
+  /// lambda[0] - lambda[1], of a curve lambda[1] - lambda[2], of a junction
+  /// lambda[2].
+  std::vector<std::array<float, 3>> lambda;
+  /// Axis of the largest eigenvalue.
+  std::vector<OctahedralVector> normal;
+  /// Axis of the smallest eigenvalue.
+  std::vector<OctahedralVector> tangent;
+
+  size_t size() const { return label.size(); }
+  void Reserve(size_t size);
+  void Append(const LabelColumns& other, size_t i);
+
+  friend bool operator==(const LabelColumns&, const LabelColumns&) = default;
+};
+
+/// Decides which points are outliers: those without a label and those whose
+/// confidence is below a share of the largest of their label.
+class OutlierTest {
+ public:
+  OutlierTest(const MaxConfidence& max_confidence, double outlier_share);
+
+  bool Keeps(Label label, uint16_t confidence) const {
+    return label != Label::kNone &&
+           confidence >= threshold_[static_cast<size_t>(label)];
+  }
+
+ private:
+  std::array<uint32_t, kLabelCount> threshold_{};
+};
+
+/// Largest confidences of `columns`, and of `so_far`.
+MaxConfidence UpdateMaxConfidence(const LabelColumns& columns,
+                                  MaxConfidence so_far = {});
+
+}  // namespace mapsieve::core
+
+#endif  // MAPSIEVE_CORE_SPDF_LABELS_H_

@@ -1,0 +1,413 @@
+#include "core/spdf/tile_filter.h"
+
+#include <algorithm>
+#include <cstring>
+#include <memory>
+#include <optional>
+#include <unordered_map>
+#include <unordered_set>
+#include <utility>
+
+#include "core/base/bytes.h"
+#include "core/base/status.h"
+#include "core/spdf/work_unit.h"
+
+namespace mapsieve::core {
+namespace {
+
+/// Coordinates of a unit are int32 relative to its first tile's corner.
+constexpr int64_t kMaxUnitExtent = int64_t{1} << 30;
+
+/// One tile's part of a loaded unit.
+struct LoadedTile {
+  size_t tile = 0;
+  bool is_core = false;
+  /// The tile's points in the unit: [begin, end).
+  size_t begin = 0;
+  size_t end = 0;
+  /// Of a halo tile, the rows of its points that were loaded.
+  std::vector<uint32_t> rows;
+};
+
+struct LoadedUnit {
+  std::vector<LoadedTile> tiles;
+  std::unique_ptr<WorkUnit> unit;
+};
+
+class LockStepFilter {
+ public:
+  LockStepFilter(TileStore& store, const SpdfOptions& options,
+                 const SpdfConstants& constants, const TilingOptions& tiling,
+                 const ExecutionContext& context)
+      : store_(store),
+        options_(options),
+        constants_(constants),
+        context_(context),
+        tiles_(store.Tiles()) {
+    for (size_t t = 0; t < tiles_.size(); ++t) {
+      tile_numbers_.emplace(tiles_[t].key, t);
+    }
+    MakeUnits(tiling.max_unit_points);
+  }
+
+  absl::StatusOr<SpdfSummary> Run() {
+    if (tiles_.empty()) return summary_;
+    const bool quota = options_.rule == DensityRule::kQuota;
+    const int rounds = quota ? 1 : options_.max_round_count;
+    total_visits_ = static_cast<int64_t>(tiles_.size()) * (rounds + 2);
+    if (quota) {
+      MAPSIEVE_RETURN_IF_ERROR(RunQuota());
+    } else {
+      MAPSIEVE_RETURN_IF_ERROR(RunRounds());
+    }
+    done_visits_ = static_cast<int64_t>(tiles_.size()) * rounds;
+    MAPSIEVE_RETURN_IF_ERROR(ComputeVoters());
+    MAPSIEVE_RETURN_IF_ERROR(CastAwareVotes());
+    return summary_;
+  }
+
+ private:
+  using Unit = std::pair<size_t, size_t>;  // tiles [first, second)
+
+  void MakeUnits(int64_t max_unit_points) {
+    size_t begin = 0;
+    int64_t points = 0;
+    LatticeBox box;
+    for (size_t t = 0; t < tiles_.size(); ++t) {
+      const LatticeBox tile = tiles_[t].key.box();
+      if (t > begin) {
+        LatticeBox grown = Union(box, tile);
+        if (points + tiles_[t].point_count > max_unit_points ||
+            IsTooWide(grown)) {
+          units_.emplace_back(begin, t);
+          begin = t;
+          points = 0;
+          box = tile;
+        } else {
+          box = grown;
+        }
+      } else {
+        box = tile;
+      }
+      points += tiles_[t].point_count;
+    }
+    if (begin < tiles_.size()) units_.emplace_back(begin, tiles_.size());
+  }
+
+  static LatticeBox Union(const LatticeBox& a, const LatticeBox& b) {
+    return {{std::min(a.min.x, b.min.x), std::min(a.min.y, b.min.y),
+             std::min(a.min.z, b.min.z)},
+            {std::max(a.max.x, b.max.x), std::max(a.max.y, b.max.y),
+             std::max(a.max.z, b.max.z)}};
+  }
+  static bool IsTooWide(const LatticeBox& box) {
+    return box.max.x - box.min.x > kMaxUnitExtent ||
+           box.max.y - box.min.y > kMaxUnitExtent ||
+           box.max.z - box.min.z > kMaxUnitExtent;
+  }
+
+  bool IsResident() const { return units_.size() == 1; }
+
+  /// Tiles outside `unit` with a cell within `margin` steps of it, and for
+  /// each the core tiles that near.
+  std::unordered_map<size_t, std::vector<size_t>> HaloTiles(
+      const Unit& unit, int64_t margin) const {
+    std::unordered_map<size_t, std::vector<size_t>> halo;
+    const int level = tiles_[0].key.level;
+    const int64_t reach = ((margin - 1) >> level) + 1;
+    const auto is_core = [&](size_t t) {
+      return t >= unit.first && t < unit.second;
+    };
+    for (size_t core = unit.first; core < unit.second; ++core) {
+      const CellKey& key = tiles_[core].key;
+      const int64_t side = 2 * reach + 1;
+      if (side * side * side <= static_cast<int64_t>(tiles_.size())) {
+        for (int64_t dz = -reach; dz <= reach; ++dz) {
+          for (int64_t dy = -reach; dy <= reach; ++dy) {
+            for (int64_t dx = -reach; dx <= reach; ++dx) {
+              const auto found = tile_numbers_.find(
+                  {level, key.x + dx, key.y + dy, key.z + dz});
+              if (found != tile_numbers_.end() && !is_core(found->second)) {
+                halo[found->second].push_back(core);
+              }
+            }
+          }
+        }
+        continue;
+      }
+      const LatticeBox near = key.box().Grown(margin);
+      for (size_t t = 0; t < tiles_.size(); ++t) {
+        if (!is_core(t) && near.Intersects(tiles_[t].key.box())) {
+          halo[t].push_back(core);
+        }
+      }
+    }
+    return halo;
+  }
+
+  absl::StatusOr<LoadedUnit> Load(const Unit& unit, int64_t margin) {
+    LoadedUnit loaded;
+    auto halo = HaloTiles(unit, margin);
+    std::vector<size_t> wanted;
+    for (const auto& [tile, near] : halo) wanted.push_back(tile);
+    for (size_t t = unit.first; t < unit.second; ++t) wanted.push_back(t);
+    std::sort(wanted.begin(), wanted.end());
+    std::vector<LatticePoint> points;
+    std::vector<uint8_t> is_core;
+    for (const size_t t : wanted) {
+      MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+      MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> tile_points,
+                                store_.LoadPoints(tiles_[t].key));
+      LoadedTile tile{.tile = t,
+                      .is_core = t >= unit.first && t < unit.second,
+                      .begin = points.size()};
+      if (tile.is_core) {
+        points.insert(points.end(), tile_points.begin(), tile_points.end());
+      } else {
+        for (uint32_t row = 0; row < tile_points.size(); ++row) {
+          for (const size_t core : halo[t]) {
+            if (tiles_[core].key.box().Grown(margin).Contains(
+                    tile_points[row])) {
+              points.push_back(tile_points[row]);
+              tile.rows.push_back(row);
+              break;
+            }
+          }
+        }
+      }
+      tile.end = points.size();
+      is_core.resize(points.size(), tile.is_core ? 1 : 0);
+      loaded.tiles.push_back(std::move(tile));
+    }
+    loaded.unit =
+        std::make_unique<WorkUnit>(tiles_[unit.first].key.corner(), points,
+                                   std::move(is_core), options_, constants_);
+    return loaded;
+  }
+
+  /// The unit with its halo; the one held in memory if the map is one unit.
+  absl::StatusOr<LoadedUnit*> Visit(const Unit& unit, int64_t margin) {
+    if (IsResident() && visited_.unit != nullptr) return &visited_;
+    visited_ = {};
+    MAPSIEVE_ASSIGN_OR_RETURN(visited_, Load(unit, margin));
+    return &visited_;
+  }
+
+  template <typename T>
+  absl::Status LoadStates(const LoadedUnit& loaded, TileStateKind kind,
+                          bool with_halo, std::vector<T>& states) {
+    if (IsResident()) return absl::OkStatus();
+    states.resize(loaded.unit->size());
+    for (const LoadedTile& tile : loaded.tiles) {
+      if (!tile.is_core && (!with_halo || tile.rows.empty())) continue;
+      MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> bytes,
+                                store_.LoadState(tiles_[tile.tile].key, kind));
+      const size_t count = bytes.size() / sizeof(T);
+      const size_t needed =
+          tile.is_core ? tile.end - tile.begin : size_t{tile.rows.back()} + 1;
+      if (count < needed) {
+        return absl::InternalError(
+            absl::StrCat("state of tile ", tiles_[tile.tile].key.ToString(),
+                         " holds ", count, " points, expected ", needed));
+      }
+      if (tile.is_core) {
+        std::memcpy(states.data() + tile.begin, bytes.data(),
+                    needed * sizeof(T));
+        continue;
+      }
+      for (size_t i = 0; i < tile.rows.size(); ++i) {
+        std::memcpy(&states[tile.begin + i],
+                    bytes.data() + tile.rows[i] * sizeof(T), sizeof(T));
+      }
+    }
+    return absl::OkStatus();
+  }
+
+  template <typename T>
+  absl::Status StoreStates(const LoadedUnit& loaded, TileStateKind kind,
+                           const std::vector<T>& states) {
+    if (IsResident()) return absl::OkStatus();
+    for (const LoadedTile& tile : loaded.tiles) {
+      if (!tile.is_core) continue;
+      MAPSIEVE_RETURN_IF_ERROR(
+          store_.StoreState(tiles_[tile.tile].key, kind,
+                            std::as_bytes(std::span(states).subspan(
+                                tile.begin, tile.end - tile.begin))));
+    }
+    return absl::OkStatus();
+  }
+
+  void CountVisit(const Unit& unit) {
+    done_visits_ += static_cast<int64_t>(unit.second - unit.first);
+    context_.ReportProgress(done_visits_, total_visits_);
+  }
+
+  absl::Status RunQuota() {
+    for (const Unit& unit : units_) {
+      // The unit kept in memory serves the votes too, whose halo is wider.
+      MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit * loaded,
+                                Visit(unit, constants_.density_steps));
+      MAPSIEVE_RETURN_IF_ERROR(loaded->unit->RunQuota(context_));
+      MAPSIEVE_RETURN_IF_ERROR(
+          StoreStates(*loaded, TileStateKind::kDeaths, loaded->unit->deaths()));
+      CountVisit(unit);
+    }
+    summary_.round_count = 1;
+    return absl::OkStatus();
+  }
+
+  absl::Status RunRounds() {
+    // Per unit: whether core points are flagged, and tiles where some died in
+    // the round before.
+    std::vector<int64_t> flagged(units_.size(), 1);
+    std::unordered_set<size_t> died_in;
+    for (int round = 1; round <= options_.max_round_count; ++round) {
+      std::unordered_set<size_t> dying_in;
+      for (size_t u = 0; u < units_.size(); ++u) {
+        const Unit& unit = units_[u];
+        if (round == 1 || flagged[u] > 0 || IsNear(unit, died_in)) {
+          MAPSIEVE_RETURN_IF_ERROR(RunRound(unit, round, flagged[u], dying_in));
+        }
+        CountVisit(unit);
+      }
+      summary_.round_count = round;
+      const bool any_flagged =
+          std::any_of(flagged.begin(), flagged.end(),
+                      [](int64_t count) { return count > 0; });
+      if (dying_in.empty() && !any_flagged) break;
+      died_in = std::move(dying_in);
+    }
+    return absl::OkStatus();
+  }
+
+  bool IsNear(const Unit& unit, const std::unordered_set<size_t>& tiles) const {
+    for (const size_t t : tiles) {
+      if (t >= unit.first && t < unit.second) return true;
+    }
+    for (const auto& [t, near] : HaloTiles(unit, constants_.reach_steps)) {
+      if (tiles.contains(t)) return true;
+    }
+    return false;
+  }
+
+  absl::Status RunRound(const Unit& unit, int round, int64_t& flagged,
+                        std::unordered_set<size_t>& dying_in) {
+    MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit * loaded,
+                              Visit(unit, constants_.reach_steps));
+    WorkUnit& work = *loaded->unit;
+    if (round > 1) {
+      MAPSIEVE_RETURN_IF_ERROR(LoadStates(*loaded, TileStateKind::kDeaths,
+                                          /*with_halo=*/true, work.deaths()));
+      MAPSIEVE_RETURN_IF_ERROR(LoadStates(*loaded, TileStateKind::kRounds,
+                                          /*with_halo=*/false,
+                                          work.round_states()));
+    }
+    MAPSIEVE_ASSIGN_OR_RETURN(const WorkUnit::RoundCounts counts,
+                              work.RunPaperRound(round, context_));
+    flagged = counts.flagged;
+    if (counts.died > 0) {
+      for (const LoadedTile& tile : loaded->tiles) {
+        if (!tile.is_core) continue;
+        const auto deaths = work.deaths().begin();
+        if (std::any_of(deaths + static_cast<ptrdiff_t>(tile.begin),
+                        deaths + static_cast<ptrdiff_t>(tile.end),
+                        [round](DeathRound d) { return d == round; })) {
+          dying_in.insert(tile.tile);
+        }
+      }
+    }
+    MAPSIEVE_RETURN_IF_ERROR(
+        StoreStates(*loaded, TileStateKind::kDeaths, work.deaths()));
+    MAPSIEVE_RETURN_IF_ERROR(
+        StoreStates(*loaded, TileStateKind::kRounds, work.round_states()));
+    return absl::OkStatus();
+  }
+
+  /// Deaths of core and halo; without rounds nobody died.
+  absl::Status LoadFinalDeaths(LoadedUnit& loaded) {
+    if (summary_.round_count == 0) return absl::OkStatus();
+    return LoadStates(loaded, TileStateKind::kDeaths, /*with_halo=*/true,
+                      loaded.unit->deaths());
+  }
+
+  absl::Status ComputeVoters() {
+    for (const Unit& unit : units_) {
+      MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit * loaded,
+                                Visit(unit, constants_.reach_steps));
+      MAPSIEVE_RETURN_IF_ERROR(LoadFinalDeaths(*loaded));
+      MAPSIEVE_RETURN_IF_ERROR(loaded->unit->ComputeVoters(context_));
+      MAPSIEVE_RETURN_IF_ERROR(
+          StoreStates(*loaded, TileStateKind::kVoters, loaded->unit->voters()));
+      CountVisit(unit);
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status CastAwareVotes() {
+    for (const Unit& unit : units_) {
+      MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit * loaded,
+                                Visit(unit, constants_.reach_steps));
+      WorkUnit& work = *loaded->unit;
+      MAPSIEVE_RETURN_IF_ERROR(LoadFinalDeaths(*loaded));
+      MAPSIEVE_RETURN_IF_ERROR(LoadStates(*loaded, TileStateKind::kVoters,
+                                          /*with_halo=*/true, work.voters()));
+      MAPSIEVE_ASSIGN_OR_RETURN(const WorkUnit::Labeled labeled,
+                                work.CastAwareVotes(context_));
+      MAPSIEVE_RETURN_IF_ERROR(Emit(*loaded, labeled));
+      CountVisit(unit);
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status Emit(const LoadedUnit& loaded,
+                    const WorkUnit::Labeled& labeled) {
+    size_t next = 0;
+    for (const LoadedTile& tile : loaded.tiles) {
+      if (!tile.is_core) continue;
+      TileResult result{
+          .key = tiles_[tile.tile].key,
+          .point_count = static_cast<int64_t>(tile.end - tile.begin)};
+      for (; next < labeled.points.size() && labeled.points[next] < tile.end;
+           ++next) {
+        const uint32_t point = labeled.points[next];
+        result.rows.push_back(point - static_cast<uint32_t>(tile.begin));
+        result.positions.push_back(loaded.unit->Position(point));
+        result.columns.Append(labeled.columns, next);
+        ++summary_
+              .label_counts[static_cast<size_t>(labeled.columns.label[next])];
+      }
+      summary_.point_count += result.point_count;
+      summary_.survivor_count += static_cast<int64_t>(result.rows.size());
+      summary_.max_confidence =
+          UpdateMaxConfidence(result.columns, summary_.max_confidence);
+      MAPSIEVE_RETURN_IF_ERROR(store_.Emit(std::move(result)));
+    }
+    return absl::OkStatus();
+  }
+
+  TileStore& store_;
+  const SpdfOptions& options_;
+  const SpdfConstants& constants_;
+  const ExecutionContext& context_;
+  const std::vector<TileInfo> tiles_;
+  std::unordered_map<CellKey, size_t, CellKeyHash> tile_numbers_;
+  std::vector<Unit> units_;
+  LoadedUnit visited_;
+  SpdfSummary summary_;
+  int64_t done_visits_ = 0;
+  int64_t total_visits_ = 0;
+};
+
+}  // namespace
+
+absl::StatusOr<SpdfSummary> FilterTiles(TileStore& store,
+                                        const Lattice& lattice,
+                                        const SpdfOptions& options,
+                                        const TilingOptions& tiling,
+                                        const ExecutionContext& context) {
+  MAPSIEVE_RETURN_IF_ERROR(options.Validate(lattice));
+  const SpdfConstants constants = MakeSpdfConstants(options, lattice);
+  return LockStepFilter(store, options, constants, tiling, context).Run();
+}
+
+}  // namespace mapsieve::core

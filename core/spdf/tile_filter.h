@@ -1,0 +1,96 @@
+#ifndef MAPSIEVE_CORE_SPDF_TILE_FILTER_H_
+#define MAPSIEVE_CORE_SPDF_TILE_FILTER_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/base/executor.h"
+#include "core/geometry/cell_key.h"
+#include "core/spdf/labels.h"
+#include "core/spdf/spdf_options.h"
+
+namespace mapsieve::core {
+
+/// A tile of a map and how many distinct points it holds at most.
+struct TileInfo {
+  CellKey key;
+  int64_t point_count = 0;
+};
+
+/// What the filter keeps of a tile between two visits.
+enum class TileStateKind : uint8_t { kDeaths = 1, kRounds = 2, kVoters = 3 };
+
+/// The filter's answer for one tile: the survivors of the rounds, outliers
+/// included, in Morton order.
+struct TileResult {
+  CellKey key;
+  /// Distinct points of the tile.
+  int64_t point_count = 0;
+  /// Rows of the survivors among the tile's distinct points, ascending.
+  std::vector<uint32_t> rows;
+  std::vector<LatticePoint> positions;
+  LabelColumns columns;
+};
+
+/// Where the filter finds the tiles of a map and puts what it makes of them.
+/// Called from one thread.
+class TileStore {
+ public:
+  virtual ~TileStore() = default;
+
+  /// Every tile that holds points; all of one level, in Morton order.
+  virtual std::vector<TileInfo> Tiles() const = 0;
+
+  /// The distinct points of a tile in Morton order; the same at each call.
+  virtual absl::StatusOr<std::vector<LatticePoint>> LoadPoints(
+      const CellKey& key) = 0;
+
+  /// Keeps bytes of the filter for a tile until the next StoreState of the
+  /// same kind or the end of the run.
+  virtual absl::Status StoreState(const CellKey& key, TileStateKind kind,
+                                  std::span<const std::byte> bytes) = 0;
+  /// The bytes last stored; called only after StoreState.
+  virtual absl::StatusOr<std::vector<std::byte>> LoadState(
+      const CellKey& key, TileStateKind kind) = 0;
+
+  /// Takes the answer for a tile; called once for every tile.
+  virtual absl::Status Emit(TileResult result) = 0;
+};
+
+struct TilingOptions {
+  /// Adjacent tiles are filtered together, as one unit, up to this many
+  /// points without the halo (a single larger tile is a unit of its own). The
+  /// result does not depend on it.
+  int64_t max_unit_points = 8'000'000;
+};
+
+/// What a run did; sums over all tiles.
+struct SpdfSummary {
+  int64_t point_count = 0;
+  /// Survivors of the rounds, outliers included.
+  int64_t survivor_count = 0;
+  /// Survivors of each label, outliers included.
+  LabelCounts label_counts{};
+  MaxConfidence max_confidence{};
+  /// Rounds until nothing was flagged, or the limit.
+  int round_count = 0;
+};
+
+/// Runs the filter over every tile of `store`: rounds in lock-step (each round
+/// of all units before the next), then ball votes, aware votes and labels. The
+/// result is a function of the set of points and `options`: neither tile size
+/// nor max_unit_points, order of points nor worker count show in it.
+/// Errors: kInvalidArgument (options), kCancelled, those of `store`.
+/// Source: Labussière, Laconte, Pomerleau, 2020; core/README.md.
+absl::StatusOr<SpdfSummary> FilterTiles(TileStore& store,
+                                        const Lattice& lattice,
+                                        const SpdfOptions& options,
+                                        const TilingOptions& tiling,
+                                        const ExecutionContext& context);
+
+}  // namespace mapsieve::core
+
+#endif  // MAPSIEVE_CORE_SPDF_TILE_FILTER_H_
