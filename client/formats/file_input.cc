@@ -14,12 +14,6 @@
 #include "core/base/status.h"
 
 namespace mapsieve::client {
-namespace {
-
-constexpr size_t kBufferBytes = size_t{1} << 20;
-
-}  // namespace
-
 absl::StatusOr<std::shared_ptr<const InputFile>> InputFile::Open(
     const std::filesystem::path& path) {
   std::string name = path.string();
@@ -72,8 +66,11 @@ absl::Status InputFile::Damaged(int64_t offset, std::string_view what) const {
       absl::StrCat(name_, ", offset ", offset, ": ", ToAbsl(what)));
 }
 
-InputCursor::InputCursor(std::shared_ptr<const InputFile> file, int64_t offset)
-    : file_(std::move(file)), buffer_offset_(offset) {}
+InputCursor::InputCursor(std::shared_ptr<const InputFile> file, int64_t offset,
+                         size_t buffer_bytes)
+    : file_(std::move(file)),
+      read_bytes_(buffer_bytes),
+      buffer_offset_(offset) {}
 
 absl::Status InputCursor::Fill(size_t size) {
   if (end_ - at_ >= size) return absl::OkStatus();
@@ -85,7 +82,7 @@ absl::Status InputCursor::Fill(size_t size) {
   }
   const auto left =
       static_cast<size_t>(std::max<int64_t>(0, file_->size() - buffer_offset_));
-  const size_t wanted = std::min(std::max(size, kBufferBytes), left);
+  const size_t wanted = std::min(std::max(size, read_bytes_), left);
   if (wanted <= end_) return absl::OkStatus();
   if (buffer_.size() < wanted) buffer_.resize(wanted);
   MAPSIEVE_RETURN_IF_ERROR(

@@ -53,9 +53,12 @@ class InputCursor {
  public:
   /// Lines and tokens beyond this many bytes are refused.
   static constexpr size_t kMaxTextBytes = size_t{1} << 20;
+  static constexpr size_t kDefaultBufferBytes = size_t{1} << 20;
 
+  /// Reads `buffer_bytes` (at least 1) at a time.
   explicit InputCursor(std::shared_ptr<const InputFile> file,
-                       int64_t offset = 0);
+                       int64_t offset = 0,
+                       size_t buffer_bytes = kDefaultBufferBytes);
 
   const InputFile& file() const { return *file_; }
   /// Offset of the next byte.
@@ -100,6 +103,7 @@ class InputCursor {
   }
 
   std::shared_ptr<const InputFile> file_;
+  size_t read_bytes_;
   std::vector<std::byte> buffer_;
   int64_t buffer_offset_;
   size_t at_ = 0;

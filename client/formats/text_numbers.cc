@@ -9,6 +9,10 @@
 #include <system_error>
 #include <type_traits>
 
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "core/base/status.h"
+
 namespace mapsieve::client {
 namespace {
 
@@ -70,6 +74,13 @@ bool EqualsIgnoringCase(std::string_view a, std::string_view b) {
   return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](char x, char y) {
     return LowerChar(x) == LowerChar(y);
   });
+}
+
+std::string Quoted(std::string_view text) {
+  constexpr size_t kShown = 40;
+  const std::string_view shown = text.substr(0, kShown);
+  return absl::StrCat("\"", absl::CHexEscape(ToAbsl(shown)),
+                      shown.size() < text.size() ? "…\"" : "\"");
 }
 
 template <typename T>

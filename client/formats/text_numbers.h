@@ -27,6 +27,10 @@ std::string ToLower(std::string_view text);
 /// Whether both are the same but for the case of ASCII letters.
 bool EqualsIgnoringCase(std::string_view a, std::string_view b);
 
+/// `text` in double quotes for a message: what is not printable escaped, what
+/// is long cut.
+std::string Quoted(std::string_view text);
+
 /// Parses all of `text` as a decimal number of type T: an optional sign, then
 /// digits; floating point takes fractions, exponents, "nan" and "inf" in any
 /// case, and gives the nearest value, 0 where the magnitude is too small.
