@@ -1,0 +1,38 @@
+#ifndef MAPSIEVE_CORE_SAMPLING_SPATIAL_BUDGET_H_
+#define MAPSIEVE_CORE_SAMPLING_SPATIAL_BUDGET_H_
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/geometry/lattice.h"
+#include "core/spdf/labels.h"
+
+namespace mapsieve::core {
+
+/// Points chosen under a budget.
+struct BudgetSample {
+  /// Rows of the input, ascending.
+  std::vector<uint32_t> rows;
+  /// For each row, the mean of the points that it stands for, in steps.
+  std::vector<Point3> centroids;
+};
+
+/// Spatial SpDF: at most `budget` of the points, spread evenly over each label.
+/// Each label gets its share of the budget (rounded down, the rest to the
+/// largest label); its points are divided into cells of the absolute octree,
+/// the cell with most points halved along its next Morton bit again and again
+/// while the label's budget holds, and of each cell the point nearest to its
+/// centroid stays. So exactly min(budget, N) points come back, and the choice
+/// depends on the set of points alone: chunk and tile borders never show.
+/// `positions`: distinct, in Morton order. `labels`: one a point.
+/// kInvalidArgument: unequal lengths, a negative budget. Cost O(N log N).
+/// Source: Labussière et al. 2020, section on Spatial SpDF.
+absl::StatusOr<BudgetSample> SampleUnderBudget(
+    std::span<const LatticePoint> positions, std::span<const Label> labels,
+    int64_t budget);
+
+}  // namespace mapsieve::core
+
+#endif  // MAPSIEVE_CORE_SAMPLING_SPATIAL_BUDGET_H_
