@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_CORE_GEOMETRY_MORTON_H_
 #define MAPSIEVE_CORE_GEOMETRY_MORTON_H_
 
+#include <bit>
 #include <cstdint>
 
 #include "core/geometry/lattice.h"
@@ -63,6 +64,43 @@ constexpr bool MortonLess(int64_t ax, int64_t ay, int64_t az, int64_t bx,
 
 constexpr bool MortonLess(const LatticePoint& a, const LatticePoint& b) {
   return MortonLess(a.x, a.y, a.z, b.x, b.y, b.z);
+}
+
+/// Where the highest differing bit of the points [begin, end) changes: both
+/// sides are cells, or parts of cells, of the octree. `point(i)` gives the
+/// points, which are distinct, at least two, and in Morton order.
+template <typename PointAt>
+uint32_t MortonSplit(uint32_t begin, uint32_t end, const PointAt& point) {
+  // The first and the last point of a Morton range differ in the highest bit
+  // that differs anywhere in it, and the range is sorted by that bit first.
+  // Flipping the sign bits, which the order asks for, cancels out in the xor.
+  const LatticePoint first = point(begin);
+  const LatticePoint last = point(end - 1);
+  int64_t LatticePoint::*axis = nullptr;
+  int bit = -1;
+  for (const auto candidate :
+       {&LatticePoint::z, &LatticePoint::y, &LatticePoint::x}) {
+    const auto differing =
+        static_cast<uint64_t>(first.*candidate ^ last.*candidate);
+    const int highest = 63 - std::countl_zero(differing);
+    if (highest > bit) {
+      bit = highest;
+      axis = candidate;
+    }
+  }
+  const auto side = [&](const LatticePoint& q) { return q.*axis >> bit & 1; };
+  const int64_t first_side = side(first);
+  uint32_t low = begin;
+  uint32_t high = end - 1;
+  while (high - low > 1) {
+    const uint32_t middle = low + (high - low) / 2;
+    if (side(point(middle)) == first_side) {
+      low = middle;
+    } else {
+      high = middle;
+    }
+  }
+  return high;
 }
 
 }  // namespace mapsieve::core

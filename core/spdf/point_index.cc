@@ -1,9 +1,10 @@
 #include "core/spdf/point_index.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <limits>
+
+#include "core/geometry/morton.h"
 
 namespace mapsieve::core {
 namespace {
@@ -47,44 +48,6 @@ PointIndex::PointIndex(const LatticePoint& origin, std::vector<int32_t> x,
   Build();
 }
 
-uint32_t PointIndex::SplitPosition(uint32_t begin, uint32_t end) const {
-  // The first and the last point of a Morton range differ in the highest bit
-  // that differs anywhere in it, and each point is sorted by that bit first.
-  // Flipping the sign bits, which the order asks for, cancels out in the xor.
-  const auto absolute = [this](int axis, uint32_t i) {
-    switch (axis) {
-      case 0:
-        return static_cast<uint64_t>(origin_.x + x_[i]);
-      case 1:
-        return static_cast<uint64_t>(origin_.y + y_[i]);
-      default:
-        return static_cast<uint64_t>(origin_.z + z_[i]);
-    }
-  };
-  int split_axis = 2;
-  int split_bit = -1;
-  for (int axis = 2; axis >= 0; --axis) {
-    const uint64_t differing = absolute(axis, begin) ^ absolute(axis, end - 1);
-    const int bit = 63 - std::countl_zero(differing);
-    if (bit > split_bit) {
-      split_bit = bit;
-      split_axis = axis;
-    }
-  }
-  const uint64_t first_bit = absolute(split_axis, begin) >> split_bit & 1;
-  uint32_t low = begin;
-  uint32_t high = end - 1;
-  while (high - low > 1) {
-    const uint32_t middle = low + (high - low) / 2;
-    if ((absolute(split_axis, middle) >> split_bit & 1) == first_bit) {
-      low = middle;
-    } else {
-      high = middle;
-    }
-  }
-  return high;
-}
-
 void PointIndex::Build() {
   const auto size = static_cast<uint32_t>(x_.size());
   if (size == 0) return;
@@ -94,7 +57,10 @@ void PointIndex::Build() {
     const uint32_t begin = nodes_[n].begin;
     const uint32_t end = nodes_[n].end;
     if (end - begin <= kLeafSize) continue;
-    const uint32_t split = SplitPosition(begin, end);
+    const uint32_t split = MortonSplit(begin, end, [this](uint32_t i) {
+      return LatticePoint{origin_.x + x_[i], origin_.y + y_[i],
+                          origin_.z + z_[i]};
+    });
     nodes_[n].left = static_cast<uint32_t>(nodes_.size());
     nodes_.push_back({.begin = begin, .end = split, .parent = n});
     nodes_.push_back({.begin = split, .end = end, .parent = n});

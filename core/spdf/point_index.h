@@ -71,7 +71,6 @@ class PointIndex {
 
  private:
   void Build();
-  uint32_t SplitPosition(uint32_t begin, uint32_t end) const;
 
   LatticePoint origin_;
   std::vector<int32_t> x_;
