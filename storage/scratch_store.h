@@ -1,0 +1,52 @@
+#ifndef MAPSIEVE_STORAGE_SCRATCH_STORE_H_
+#define MAPSIEVE_STORAGE_SCRATCH_STORE_H_
+
+#include <cstddef>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "storage/file_system.h"
+#include "storage/space_reserve.h"
+
+namespace mapsieve::storage {
+
+/// Named byte strings on disk that last as long as this object: what a job puts
+/// aside because it does not fit memory. Never synced. Different names may be
+/// used from several threads at once.
+class Scratch {
+ public:
+  /// Makes the directory, empty. The references outlive the object.
+  static absl::StatusOr<std::unique_ptr<Scratch>> Create(
+      FileSystem& file_system, std::string directory,
+      const SpaceReserve& reserve);
+  /// Removes the directory.
+  ~Scratch();
+  Scratch(const Scratch&) = delete;
+  Scratch& operator=(const Scratch&) = delete;
+
+  /// Replaces what `name` (1 to 120 of a-z, 0-9 and -) holds.
+  /// kInvalidArgument: the name; kResourceExhausted: disk full.
+  absl::Status Write(const std::string& name, std::span<const std::byte> bytes);
+
+  /// What was last written. kNotFound if nothing was.
+  absl::StatusOr<std::vector<std::byte>> Read(const std::string& name) const;
+
+  /// Forgets what `name` holds; OK if nothing.
+  absl::Status Remove(const std::string& name);
+
+ private:
+  Scratch(FileSystem& file_system, std::string directory,
+          const SpaceReserve& reserve);
+
+  FileSystem& file_system_;
+  const std::string directory_;
+  const SpaceReserve& reserve_;
+};
+
+}  // namespace mapsieve::storage
+
+#endif  // MAPSIEVE_STORAGE_SCRATCH_STORE_H_
