@@ -2,18 +2,21 @@
 #define MAPSIEVE_CORE_GEOMETRY_LATTICE_H_
 
 #include <cmath>
+#include <compare>
 #include <cstdint>
 #include <optional>
 
 namespace mapsieve::core {
 
-/// A point of a map's absolute lattice: coordinates in steps.
+/// A point of a map's absolute lattice: coordinates in steps. Ordered by x,
+/// then y, then z, which a shift of all points does not change: ties are broken
+/// by it.
 struct LatticePoint {
   int64_t x = 0;
   int64_t y = 0;
   int64_t z = 0;
 
-  friend bool operator==(const LatticePoint&, const LatticePoint&) = default;
+  friend auto operator<=>(const LatticePoint&, const LatticePoint&) = default;
 };
 
 /// A position in map units (metres unless the map's CRS says otherwise).

@@ -74,7 +74,7 @@ void TakeRepresentative(std::span<const LatticePoint> positions,
     const double dy = static_cast<double>(q.y - corner.y) - mean.y;
     const double dz = static_cast<double>(q.z - corner.z) - mean.z;
     const double d2 = dx * dx + dy * dy + dz * dz;
-    if (best < 0 || d2 < best) {
+    if (best < 0 || d2 < best || (d2 == best && q < positions[best_row])) {
       best = d2;
       best_row = rows[i];
     }

@@ -80,28 +80,43 @@ int32_t Select(const int32_t* d2, int count, int rank, int32_t bound) {
   return high;
 }
 
-/// Writes the indices of the first `rank` candidates by (d2, index) to
-/// `members`, in index order; `radius` comes from Select.
-inline int CollectMembers(const int32_t* __restrict d2, int count, int rank,
+/// True if candidate `a` comes before `b` in the order of lattice coordinates.
+inline bool IsBefore(const CandidateBlock& block, int32_t a, int32_t b) {
+  if (block.x[a] != block.x[b]) return block.x[a] < block.x[b];
+  if (block.y[a] != block.y[b]) return block.y[a] < block.y[b];
+  return block.z[a] < block.z[b];
+}
+
+/// Writes the indices of the first `rank` candidates by (d2, coordinate) to
+/// `members`, in no particular order; `radius` comes from Select.
+inline int CollectMembers(const CandidateBlock& block,
+                          const int32_t* __restrict d2, int rank,
                           int32_t radius, int32_t* __restrict members) {
   int found = 0;
-  for (int i = 0; i < count; ++i) {
+  for (int i = 0; i < block.count; ++i) {
     members[found] = i;
     found += d2[i] <= radius ? 1 : 0;
   }
   if (found <= rank) return found;
-  // More than `rank` points lie within: some tie at the radius. The first of
-  // them stay.
-  int inside = 0;
-  for (int m = 0; m < found; ++m) inside += d2[members[m]] < radius ? 1 : 0;
-  int ties_left = rank - inside;
+  // More than `rank` points lie within: some tie at the radius. The nearer
+  // ones come first, then as many of the tied ones as there is room for.
   int kept = 0;
   for (int m = 0; m < found; ++m) {
     const int32_t i = members[m];
-    if (d2[i] == radius && ties_left-- <= 0) continue;
+    if (d2[i] == radius) continue;
+    members[m] = members[kept];
     members[kept++] = i;
   }
-  return kept;
+  for (; kept < rank; ++kept) {
+    int first = kept;
+    for (int m = kept + 1; m < found; ++m) {
+      if (IsBefore(block, members[m], members[first])) first = m;
+    }
+    const int32_t i = members[first];
+    members[first] = members[kept];
+    members[kept] = i;
+  }
+  return rank;
 }
 
 void BallVote(const CandidateBlock& block, const NeighborQuery& query,
@@ -112,7 +127,7 @@ void BallVote(const CandidateBlock& block, const NeighborQuery& query,
   const int rank = query.neighbor_count + 1;
   const int32_t radius = Select(scratch.d2, block.count, rank, query.bound_d2);
   const int found =
-      CollectMembers(scratch.d2, block.count, rank, radius, scratch.members);
+      CollectMembers(block, scratch.d2, rank, radius, scratch.members);
   float dx[kMaxMembers];
   float dy[kMaxMembers];
   float dz[kMaxMembers];
@@ -159,8 +174,8 @@ void AwareVote(const CandidateBlock& block, const NeighborQuery& query,
                VoteSums* sums) {
   Distances(block, query.x, query.y, query.z, scratch.d2);
   const int rank = query.neighbor_count + 1;
-  const int found = CollectMembers(scratch.d2, block.count, rank,
-                                   query.bound_d2, scratch.members);
+  const int found =
+      CollectMembers(block, scratch.d2, rank, query.bound_d2, scratch.members);
   float dx[kMaxMembers];
   float dy[kMaxMembers];
   float dz[kMaxMembers];
@@ -224,14 +239,22 @@ int CountBetter(const CandidateBlock& block,
   const int32_t z = bz[self];
   const uint64_t mine = priorities[self];
   int better = 0;
+  int tied = 0;
   for (int i = 0; i < block.count; ++i) {
     const int32_t dx = bx[i] - x;
     const int32_t dy = by[i] - y;
     const int32_t dz = bz[i] - z;
     const bool near = dx * dx + dy * dy + dz * dz <= bound_d2;
-    const bool wins =
-        (priorities[i] < mine) | ((priorities[i] == mine) & (i < self));
-    better += (near & wins) ? 1 : 0;
+    better += (near & (priorities[i] < mine)) ? 1 : 0;
+    tied += (near & (priorities[i] == mine)) ? 1 : 0;
+  }
+  if (tied == 1) return better;  // the point itself
+  for (int i = 0; i < block.count; ++i) {
+    const int32_t dx = bx[i] - x;
+    const int32_t dy = by[i] - y;
+    const int32_t dz = bz[i] - z;
+    const bool near = dx * dx + dy * dy + dz * dz <= bound_d2;
+    if (near && priorities[i] == mine && IsBefore(block, i, self)) ++better;
   }
   return better;
 }

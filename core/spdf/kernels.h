@@ -8,7 +8,7 @@
 /// sums are integers and every float operation is rounded once.
 namespace mapsieve::core {
 
-/// Points around a query, in Morton order; coordinates relative to the block's
+/// Points around a query, distinct; coordinates relative to the block's
 /// centre, |coordinate| <= 2 * kMaxRadiusSteps.
 struct CandidateBlock {
   const int32_t* x = nullptr;
@@ -79,18 +79,18 @@ struct Kernels {
   int32_t (*select)(const int32_t* d2, int count, int rank, int32_t bound);
 
   /// The ball votes of the `neighbor_count` nearest other points, ties by
-  /// block order. The query is a point of the block.
+  /// coordinate (x, then y, then z). The query is a point of the block.
   void (*ball_vote)(const CandidateBlock& block, const NeighborQuery& query,
                     const KernelScratch& scratch, BallSums* sums);
 
-  /// The votes of the same neighbours, known to lie within bound_d2, carrying
+  /// The votes of the same neighbours, given their radius_d2 as bound, carrying
   /// tensors: tensors[i] is candidate i's.
   void (*aware_vote)(const CandidateBlock& block, const NeighborQuery& query,
                      const VoterTensor* tensors, const KernelScratch& scratch,
                      VoteSums* sums);
 
   /// How many other points lie within bound_d2 of the query (candidate
-  /// `self`) and have a smaller priority, ties by block order.
+  /// `self`) and have a smaller priority, ties by coordinate.
   int (*count_better)(const CandidateBlock& block, const uint64_t* priorities,
                       int self, int32_t bound_d2);
 

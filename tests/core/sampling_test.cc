@@ -1,0 +1,137 @@
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+
+#include "core/cloud/merge_duplicates.h"
+#include "core/sampling/random_sample.h"
+#include "core/sampling/spatial_budget.h"
+#include "tests/testing/clouds.h"
+#include "tests/testing/status_matchers.h"
+
+namespace mapsieve::core {
+namespace {
+
+using ::mapsieve::testing::StatusIs;
+using ::testing::HasSubstr;
+
+struct Labeled {
+  std::vector<LatticePoint> positions;
+  std::vector<Label> labels;
+};
+
+Labeled LabeledScene(int count, uint64_t seed) {
+  Labeled scene;
+  scene.positions =
+      DistinctPoints(testing::SceneCloud(count, 3, seed).positions);
+  for (const LatticePoint& q : scene.positions) {
+    scene.labels.push_back(q.z > 1500  ? Label::kJunction
+                           : q.x > 400 ? Label::kCurve
+                                       : Label::kSurface);
+  }
+  return scene;
+}
+
+TEST(SampleUnderBudget, GivesExactlyTheBudgetOrEverything) {
+  const Labeled scene = LabeledScene(5000, 1);
+  const auto total = static_cast<int64_t>(scene.positions.size());
+  for (const int64_t budget : {int64_t{0}, int64_t{1}, int64_t{2}, int64_t{7},
+                               int64_t{100}, total - 1, total, total + 50}) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const BudgetSample sample,
+        SampleUnderBudget(scene.positions, scene.labels, budget));
+    EXPECT_EQ(static_cast<int64_t>(sample.rows.size()),
+              std::min(budget, total));
+    EXPECT_EQ(sample.centroids.size(), sample.rows.size());
+    EXPECT_TRUE(std::is_sorted(sample.rows.begin(), sample.rows.end()));
+    EXPECT_EQ(std::adjacent_find(sample.rows.begin(), sample.rows.end()),
+              sample.rows.end());
+  }
+}
+
+TEST(SampleUnderBudget, KeepsTheSharesOfTheLabels) {
+  const Labeled scene = LabeledScene(20000, 2);
+  LabelCounts before{};
+  for (const Label label : scene.labels) ++before[static_cast<size_t>(label)];
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const BudgetSample sample,
+      SampleUnderBudget(scene.positions, scene.labels, 1000));
+  LabelCounts after{};
+  for (const uint32_t row : sample.rows) {
+    ++after[static_cast<size_t>(scene.labels[row])];
+  }
+  for (size_t l = 1; l < kLabelCount; ++l) {
+    const double share = 1000.0 * static_cast<double>(before[l]) /
+                         static_cast<double>(scene.positions.size());
+    EXPECT_NEAR(static_cast<double>(after[l]), share, 3) << l;
+  }
+}
+
+TEST(SampleUnderBudget, TakesThePointNearestToTheCentroidOfItsCell) {
+  // One label, one cell: the point nearest to the mean of all.
+  const std::vector<LatticePoint> positions =
+      DistinctPoints(testing::VolumeCloud(300, 1, 3).positions);
+  const std::vector<Label> labels(positions.size(), Label::kCurve);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const BudgetSample sample,
+                                SampleUnderBudget(positions, labels, 1));
+  Point3 mean;
+  for (const LatticePoint& q : positions) {
+    mean.x += static_cast<double>(q.x) / static_cast<double>(positions.size());
+    mean.y += static_cast<double>(q.y) / static_cast<double>(positions.size());
+    mean.z += static_cast<double>(q.z) / static_cast<double>(positions.size());
+  }
+  EXPECT_NEAR(sample.centroids[0].x, mean.x, 1e-6);
+  EXPECT_NEAR(sample.centroids[0].z, mean.z, 1e-6);
+  const auto distance = [&](const LatticePoint& q) {
+    return std::hypot(static_cast<double>(q.x) - mean.x,
+                      static_cast<double>(q.y) - mean.y,
+                      static_cast<double>(q.z) - mean.z);
+  };
+  for (const LatticePoint& q : positions) {
+    EXPECT_LE(distance(positions[sample.rows[0]]), distance(q) + 1e-9);
+  }
+}
+
+TEST(SampleUnderBudget, SpreadsAUniformSurfaceEvenly) {
+  const std::vector<LatticePoint> positions =
+      DistinctPoints(testing::PlaneCloud(40000, 2, 4).positions);
+  const std::vector<Label> labels(positions.size(), Label::kSurface);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const BudgetSample sample,
+                                SampleUnderBudget(positions, labels, 1600));
+  std::array<int, 16> per_quarter{};
+  for (const uint32_t row : sample.rows) {
+    const LatticePoint& q = positions[row];
+    ++per_quarter[static_cast<size_t>((q.x + 2000) / 1001 * 4 +
+                                      (q.y + 2000) / 1001)];
+  }
+  for (const int count : per_quarter) EXPECT_NEAR(count, 100, 25);
+}
+
+TEST(SampleUnderBudget, RefusesUnequalLengthsAndNegativeBudgets) {
+  const std::vector<LatticePoint> positions = {{0, 0, 0}};
+  EXPECT_THAT(SampleUnderBudget(positions, {}, 1),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("1 positions but 0 labels")));
+  const std::vector<Label> labels = {Label::kCurve};
+  EXPECT_THAT(SampleUnderBudget(positions, labels, -1),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("-1")));
+}
+
+TEST(RandomSample, DrawsTheSamePointsWhateverTheOrder) {
+  LatticeCloud cloud;
+  cloud.positions = DistinctPoints(testing::VolumeCloud(3000, 1, 5).positions);
+  const LatticeCloud shuffled = testing::Shuffled(cloud, 6);
+  const auto draw = [](const LatticeCloud& c) {
+    std::vector<LatticePoint> points =
+        c.Select(RandomSample(c.positions, 500, 9)).positions;
+    return DistinctPoints(points);
+  };
+  EXPECT_EQ(draw(cloud).size(), 500u);
+  EXPECT_EQ(draw(cloud), draw(shuffled));
+  EXPECT_NE(RandomSample(cloud.positions, 500, 9),
+            RandomSample(cloud.positions, 500, 10));
+  EXPECT_EQ(RandomSample(cloud.positions, 1 << 20, 9).size(), cloud.size());
+}
+
+}  // namespace
+}  // namespace mapsieve::core
