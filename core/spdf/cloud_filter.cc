@@ -1,7 +1,9 @@
 #include "core/spdf/cloud_filter.h"
 
+#include <algorithm>
 #include <map>
 #include <string>
+#include <string_view>
 #include <utility>
 
 #include "core/base/status.h"
@@ -108,6 +110,18 @@ absl::StatusOr<FilteredCloud> FilterCloud(const LatticeCloud& cloud,
   return result;
 }
 
+std::string NameBeside(std::string_view name,
+                       std::span<const std::string_view> taken) {
+  constexpr std::string_view kPrefix = "input_";
+  std::string_view bare = name;
+  while (bare.starts_with(kPrefix)) bare.remove_prefix(kPrefix.size());
+  std::string result;
+  if (std::find(taken.begin(), taken.end(), bare) != taken.end()) {
+    result = kPrefix;
+  }
+  return result.append(name);
+}
+
 LatticeCloud MakeLabeledCloud(const LatticeCloud& cloud,
                               std::span<const uint32_t> rows,
                               const LabelColumns& columns) {
@@ -130,15 +144,9 @@ LatticeCloud MakeLabeledCloud(const LatticeCloud& cloud,
   std::vector<Column>& out = result.attributes.columns();
   out = {std::move(label), std::move(confidence), std::move(normal[0]),
          std::move(normal[1]), std::move(normal[2])};
-  const size_t own = out.size();
   for (const Column& column : cloud.attributes.columns()) {
     Column selected = column.Select(rows);
-    for (size_t c = 0; c < own; ++c) {
-      if (out[c].name() == selected.name()) {
-        selected.Rename("input_" + selected.name());
-        break;
-      }
-    }
+    selected.Rename(NameBeside(column.name(), kLabelColumnNames));
     out.push_back(std::move(selected));
   }
   return result;

@@ -1,7 +1,11 @@
 #ifndef MAPSIEVE_CORE_SPDF_CLOUD_FILTER_H_
 #define MAPSIEVE_CORE_SPDF_CLOUD_FILTER_H_
 
+#include <array>
 #include <cstdint>
+#include <span>
+#include <string>
+#include <string_view>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -32,10 +36,20 @@ absl::StatusOr<FilteredCloud> FilterCloud(const LatticeCloud& cloud,
                                           const SpdfOptions& options,
                                           const ExecutionContext& context = {});
 
+/// Names of the columns that MakeLabeledCloud adds.
+inline constexpr std::array<std::string_view, 5> kLabelColumnNames = {
+    "label", "confidence", "nx", "ny", "nz"};
+
+/// The name of an input's attribute beside columns named `taken`:
+/// input_<name> if that is, without any "input_" before it, one of them; else
+/// the name itself. So different attributes never get the same name.
+std::string NameBeside(std::string_view name,
+                       std::span<const std::string_view> taken);
+
 /// The points of `cloud` at `rows` with what the filter says of them as
 /// attributes: label (uint8), confidence, nx, ny, nz (float32). Attributes of
-/// the input with one of these names become input_<name>. `columns` has one
-/// entry for each of `rows`.
+/// the input are named by NameBeside. `columns` has one entry for each of
+/// `rows`.
 LatticeCloud MakeLabeledCloud(const LatticeCloud& cloud,
                               std::span<const uint32_t> rows,
                               const LabelColumns& columns);

@@ -1,0 +1,193 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_ENGINE_H_
+#define MAPSIEVE_SERVER_ENGINE_ENGINE_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <span>
+#include <stop_token>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "core/spdf/spdf_options.h"
+#include "server/engine/query.h"
+#include "server/engine/types.h"
+
+namespace mapsieve::storage {
+class FileSystem;
+}  // namespace mapsieve::storage
+
+namespace mapsieve::engine {
+
+inline constexpr int64_t kMinMemoryBytes = int64_t{256} << 20;
+
+struct EngineOptions {
+  /// Directory of all data; made if absent. One process at a time has it.
+  std::string data_dir;
+  /// What points in memory may take in all, at least kMinMemoryBytes: half for
+  /// the filter, an eighth for uploads being finalized, a quarter for queries;
+  /// the rest is for buffers that are not counted.
+  int64_t memory_bytes = int64_t{2} << 30;
+  /// Threads of the filter, 1 to 1024.
+  int worker_count = 1;
+  /// Operations that may wait at the same time, at least 1; beyond,
+  /// kResourceExhausted.
+  int max_queued_operations = 1000;
+  /// Where the data directory is; outlives the engine. Nothing: the file system
+  /// of the operating system.
+  storage::FileSystem* file_system = nullptr;
+  /// Finished operations remembered, at least 1; older ones are forgotten.
+  int max_finished_operations = 1000;
+
+  /// kInvalidArgument, naming the field and its limits.
+  absl::Status Validate() const;
+};
+
+/// Appends bytes to one upload, which no other writer can meanwhile. Used by
+/// one thread at a time; destroyed before its Engine.
+class UploadWriter {
+ public:
+  virtual ~UploadWriter() = default;
+
+  /// Takes `bytes`, whose first has number `offset` in the upload. Bytes that
+  /// are there already are dropped. kOutOfRange: a gap before `offset`, or
+  /// more than expected_bytes; kFailedPrecondition: the upload is not active
+  /// any more; kResourceExhausted: disk full.
+  virtual absl::Status Append(int64_t offset,
+                              std::span<const std::byte> bytes) = 0;
+
+  /// Makes what was appended durable and returns the length of the durable
+  /// prefix of the upload.
+  virtual absl::StatusOr<int64_t> Commit() = 0;
+};
+
+/// Maps on one machine: everything that the service does, without the network.
+/// All methods are thread-safe and validate what they are given.
+///
+/// Errors that any method may give: kInvalidArgument for an id that is none;
+/// kNotFound for a map, upload or operation that does not exist;
+/// kResourceExhausted (disk full); kUnavailable, kDataLoss (storage);
+/// kInternal. Methods may wait for the disk, so reactors do not call them.
+class Engine {
+ public:
+  /// Opens the data directory and goes on with the operations that waited or
+  /// ran when it was last closed or its process died.
+  /// kInvalidArgument (options); kAborted: another process has the directory.
+  static absl::StatusOr<std::unique_ptr<Engine>> Open(
+      const EngineOptions& options);
+
+  /// Shutdown.
+  virtual ~Engine() = default;
+
+  /// Stops the operations that run, so that the next Open goes on with them,
+  /// and refuses new ones and new uploads with kUnavailable. Returns when none
+  /// runs. Reading goes on.
+  virtual void Shutdown() = 0;
+
+  // Maps.
+
+  /// kInvalidArgument naming the field; kAlreadyExists.
+  virtual absl::StatusOr<MapInfo> CreateMap(const MapSpec& spec) = 0;
+  virtual absl::StatusOr<MapInfo> GetMap(const std::string& map_id) = 0;
+  /// By id.
+  virtual absl::StatusOr<Page<MapInfo>> ListMaps(const PageRequest& page) = 0;
+  /// Removes the map with its revisions, uploads and finished operations.
+  /// Queries that read it may end with kNotFound.
+  /// kFailedPrecondition: it has uploads that are neither finalized nor failed,
+  /// or an operation that waits or runs, and not `force`; with it, the uploads
+  /// are dropped, the operations cancelled and waited for.
+  virtual absl::Status DeleteMap(const std::string& map_id, bool force) = 0;
+  virtual absl::StatusOr<MapStats> GetMapStats(const std::string& map_id) = 0;
+  /// Newest first.
+  virtual absl::StatusOr<Page<RevisionInfo>> ListRevisions(
+      const std::string& map_id, const PageRequest& page) = 0;
+
+  // Uploads.
+
+  /// Opens an upload, or returns the one of this id and the same spec, whatever
+  /// its state. kInvalidArgument; kAlreadyExists: the id is taken by an upload
+  /// with another spec (the figures of both in the message).
+  virtual absl::StatusOr<UploadInfo> CreateUpload(const std::string& map_id,
+                                                  const UploadSpec& spec) = 0;
+  virtual absl::StatusOr<UploadInfo> GetUpload(
+      const std::string& map_id, const std::string& upload_id) = 0;
+  /// By id.
+  virtual absl::StatusOr<Page<UploadInfo>> ListUploads(
+      const std::string& map_id, const PageRequest& page) = 0;
+  /// Forgets an upload and its staged bytes; the points of a finalized one stay
+  /// in the map. A writer of it is of no further use. kFailedPrecondition: it
+  /// is being finalized.
+  virtual absl::Status DeleteUpload(const std::string& map_id,
+                                    const std::string& upload_id) = 0;
+  /// kFailedPrecondition: the upload is not active; kAborted: it has a writer.
+  virtual absl::StatusOr<std::unique_ptr<UploadWriter>> OpenUploadWriter(
+      const std::string& map_id, const std::string& upload_id) = 0;
+  /// Starts the operation that adds the upload's points to the map as one new
+  /// revision; a repeat returns the operation of the first call, done or not,
+  /// unless that one failed in a way that a repeat may mend.
+  /// kFailedPrecondition: bytes are missing, or the upload failed before and
+  /// its operation is forgotten; kResourceExhausted: too many operations wait.
+  /// Errors of the operation: kDataLoss: the bytes are not those of
+  /// content_hash, or a block is damaged (with its offset); kInvalidArgument:
+  /// a block with another step than the map's, an attribute with another type
+  /// than the map's (both are named), too many attributes, too large a block —
+  /// the upload is then kFailed; kResourceExhausted, kUnavailable, kInternal,
+  /// kCancelled: it is kActive again. The map is as before in every case.
+  virtual absl::StatusOr<Operation> FinalizeUpload(
+      const std::string& map_id, const std::string& upload_id) = 0;
+
+  // The filter.
+
+  /// Starts the operation that filters the whole map and makes the result
+  /// visible as one new revision. `options`: nothing means those of the map's
+  /// last run, or the defaults. Nothing is done if the result for these points
+  /// and options is there. kInvalidArgument naming the field;
+  /// kFailedPrecondition: no points; kAborted: a run waits or is going on (it
+  /// is named); kResourceExhausted: too many operations wait.
+  /// Errors of the operation: kCancelled, kResourceExhausted, kUnavailable,
+  /// kDataLoss; the map is as before.
+  virtual absl::StatusOr<Operation> ProcessMap(
+      const std::string& map_id,
+      const std::optional<core::SpdfOptions>& options) = 0;
+
+  // Operations.
+
+  virtual absl::StatusOr<Operation> GetOperation(
+      const std::string& operation_id) = 0;
+  /// Newest first; `map_id`: only those of this map, empty: all.
+  virtual absl::StatusOr<Page<Operation>> ListOperations(
+      const std::string& map_id, const PageRequest& page) = 0;
+  /// Asks it to stop: it ends as kCancelled soon, unless it is done before.
+  /// OK if it is done.
+  virtual absl::Status CancelOperation(const std::string& operation_id) = 0;
+  /// Returns when it is done or after `timeout`, whichever comes first.
+  virtual absl::StatusOr<Operation> WaitOperation(
+      const std::string& operation_id, absl::Duration timeout) = 0;
+  /// Calls `callback` once, from a thread of the engine, when the operation is
+  /// done (before this returns if it is done already) or the engine shuts
+  /// down. It must be quick and may not call the engine. Returns a number for
+  /// StopWatching.
+  virtual absl::StatusOr<int64_t> WatchOperation(
+      const std::string& operation_id, std::function<void()> callback) = 0;
+  /// The callback will not be called any more if it has not been: it may be
+  /// running at this moment. Unknown numbers are ignored.
+  virtual void StopWatching(int64_t watch) = 0;
+
+  // Queries.
+
+  /// Checks `spec` and begins its answer, which stops within one chunk once
+  /// `stop` asks for it. kInvalidArgument naming the field; kNotFound: the map
+  /// or an attribute, naming those there are; kFailedPrecondition: never
+  /// processed and not `raw`; kOutOfRange: no such revision, or nothing was
+  /// processed up to it.
+  virtual absl::StatusOr<std::unique_ptr<QueryCursor>> Query(
+      const QuerySpec& spec, std::stop_token stop) = 0;
+};
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_ENGINE_H_

@@ -1,0 +1,118 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_QUERY_H_
+#define MAPSIEVE_SERVER_ENGINE_QUERY_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/cloud/column.h"
+#include "core/spdf/labels.h"
+#include "server/engine/region.h"
+
+namespace mapsieve::engine {
+
+/// Columns of an answer besides the positions; they come in this order.
+struct ColumnSelection {
+  /// label (uint8): value of core::Label.
+  bool label = false;
+  /// confidence (float32): saliency of the point's own label, 0 to 1.
+  bool confidence = false;
+  /// nx, ny, nz (float32): unit normal of the surface.
+  bool normal = false;
+  /// tx, ty, tz (float32): unit tangent of the curve.
+  bool tangent = false;
+  /// lambda1, lambda2, lambda3 (float32): eigenvalues of the vote, descending.
+  bool eigenvalues = false;
+  /// All attributes of the uploaded points, by name. Beside what the filter
+  /// says they are named by core::NameBeside: one named as a column of
+  /// core::MakeLabeledCloud, or as another one asked for, comes as
+  /// input_<name>.
+  bool all_attributes = false;
+  /// Attributes of the uploaded points by their own names, if not all; they
+  /// come by name too.
+  std::vector<std::string> attributes;
+};
+
+/// Which point stands for a group under a budget.
+enum class Representative {
+  /// The point nearest to the group's centroid.
+  kNearest,
+  /// The centroid, rounded to the lattice half to even on each axis, with the
+  /// columns of the point nearest to it. It may lie outside a sphere asked for
+  /// by less than a lattice cell.
+  kCentroid,
+};
+
+/// Largest block of an answer.
+inline constexpr int64_t kMaxBatchBytes = 1'000'000;
+
+/// The points asked for.
+struct QuerySpec {
+  std::string map_id;
+  /// 0: the newest processed revision, or with `raw` the newest.
+  int64_t revision = 0;
+  /// Nothing: the whole map.
+  std::optional<RegionShape> region;
+  /// Only points with one of these labels (kNone is no choice: such points are
+  /// outliers); empty: all. Not with `raw`.
+  std::vector<core::Label> labels;
+  /// At most this many points, by core::SampleUnderBudget over all points
+  /// asked for. 0: no limit. Not with `raw`.
+  int64_t max_points = 0;
+  /// Nothing: label, confidence, normal and all attributes, which is what
+  /// core::MakeLabeledCloud gives; with `raw`, all attributes. What the filter
+  /// says cannot be asked for with `raw`.
+  std::optional<ColumnSelection> columns;
+  /// The points as they were uploaded, duplicates included, instead of the
+  /// survivors of the filter without outliers.
+  bool raw = false;
+  Representative representative = Representative::kNearest;
+};
+
+/// What the batches of an answer have in common.
+struct QueryHeader {
+  /// The revision that the answer is from: for the filter's survivors the one
+  /// that computed them, at most the one asked for.
+  int64_t revision = 0;
+  int64_t step_nm = 0;
+  /// Columns of every batch, in this order.
+  std::vector<core::ColumnSpec> columns;
+  /// Points to come at most.
+  int64_t candidate_point_count = 0;
+};
+
+/// The end of a complete answer.
+struct QuerySummary {
+  int64_t point_count = 0;
+  /// point_count by label; all under kNone with `raw`.
+  core::LabelCounts label_counts{};
+};
+
+/// An answer on its way, pinned to one revision, which later changes of the
+/// map do not touch. Used by one thread at a time; destroyed before its Engine.
+class QueryCursor {
+ public:
+  virtual ~QueryCursor() = default;
+
+  virtual const QueryHeader& header() const = 0;
+
+  /// The next points as one block of core/codec of 1 to kMaxBatchBytes bytes;
+  /// nothing once all were given. Points come in Morton order of their tiles,
+  /// the filter's survivors in Morton order throughout. Reads a few chunks of
+  /// storage; the first call under a budget reads all candidates. After an
+  /// error the cursor is of no further use.
+  /// kCancelled; kDataLoss, kUnavailable: storage; kResourceExhausted: what
+  /// the answer needs at once exceeds the memory left for queries (both
+  /// figures in the message).
+  virtual absl::StatusOr<std::optional<std::vector<std::byte>>> NextBatch() = 0;
+
+  /// Of the batches so far; of the answer once NextBatch gave nothing.
+  virtual QuerySummary summary() const = 0;
+};
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_QUERY_H_

@@ -1,0 +1,252 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_TYPES_H_
+#define MAPSIEVE_SERVER_ENGINE_TYPES_H_
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+#include "core/cloud/column.h"
+#include "core/cloud/point_cloud.h"
+#include "core/geometry/lattice.h"
+#include "core/spdf/labels.h"
+#include "core/spdf/spdf_options.h"
+
+/// What the engine takes and gives besides queries (region_query.h). Fields
+/// that come from outside are validated by the engine, with the errors that
+/// its methods name.
+namespace mapsieve::engine {
+
+/// Part of a list.
+template <typename T>
+struct Page {
+  std::vector<T> items;
+  /// Where the next page begins; empty on the last page, and only there.
+  std::string next_page_token;
+};
+
+/// Which part of a list is wanted.
+struct PageRequest {
+  /// Items at most. 0: kDefaultPageSize; above kMaxPageSize: that many;
+  /// negative: kInvalidArgument.
+  int64_t page_size = 0;
+  /// next_page_token of the page before; empty: from the first.
+  std::string page_token;
+};
+inline constexpr int64_t kDefaultPageSize = 50;
+inline constexpr int64_t kMaxPageSize = 1000;
+
+/// Coordinates of the outermost points, both inclusive, in map units.
+struct Bounds {
+  core::Point3 min;
+  core::Point3 max;
+
+  friend bool operator==(const Bounds&, const Bounds&) = default;
+};
+
+// Maps.
+
+/// Edges of tiles, log2 in lattice steps; above it core::kMaxTileLevel.
+inline constexpr int kMinTileLevel = 4;
+inline constexpr int kDefaultTileLevel = 15;
+inline constexpr size_t kMaxDisplayNameBytes = 128;
+inline constexpr size_t kMaxCrsWktBytes = 64 * 1024;
+
+/// A map to be created.
+struct MapSpec {
+  /// [a-z]([a-z0-9-]{0,61}[a-z0-9])?.
+  std::string map_id;
+  /// Edge of a lattice cell in nanometres, 1 to core::kMaxStepNm.
+  int64_t step_nm = core::kDefaultStepNm;
+  /// Edge of a tile in map units, rounded up to a power of two of steps from
+  /// 2^kMinTileLevel to 2^core::kMaxTileLevel; larger is refused. 0:
+  /// 2^kDefaultTileLevel steps.
+  double tile_edge = 0;
+  /// Free text of at most kMaxDisplayNameBytes.
+  std::string display_name;
+  /// Coordinate reference system, never interpreted; at most kMaxCrsWktBytes.
+  std::string crs_wkt;
+};
+
+struct MapInfo {
+  std::string map_id;
+  /// Hexadecimal; never used again, even for a map of this name.
+  std::string uid;
+  std::string display_name;
+  int64_t step_nm = 0;
+  int tile_level = 0;
+  std::string crs_wkt;
+  /// The newest revision; 1 is the empty map.
+  int64_t revision = 0;
+  /// The newest revision whose product is a result of the filter; 0: none.
+  int64_t processed_revision = 0;
+  absl::Time create_time;
+  /// When the newest revision was committed.
+  absl::Time update_time;
+};
+
+/// Counts and sizes of a map. Raw points, tiles and bytes are those of
+/// `revision`, the rest those of `processed_revision`.
+struct MapStats {
+  int64_t revision = 0;
+  /// 0: never processed, and the label counts are 0.
+  int64_t processed_revision = 0;
+  /// Points uploaded, duplicates included.
+  int64_t raw_point_count = 0;
+  /// What a query of the whole map returns: survivors of the filter without
+  /// outliers.
+  int64_t point_count = 0;
+  /// point_count by label.
+  core::LabelCounts label_counts{};
+  /// Survivors of the filter that are outliers.
+  int64_t outlier_count = 0;
+  /// Bytes of all blobs of the revision.
+  int64_t stored_bytes = 0;
+  /// Tiles that hold points.
+  int64_t tile_count = 0;
+  /// Tiles whose points changed since they were processed.
+  int64_t stale_tile_count = 0;
+  /// Nothing while there are no points.
+  std::optional<Bounds> bounds;
+  /// Attributes of the raw points, by name.
+  std::vector<core::ColumnSpec> attributes;
+  /// What the processed revision was made with.
+  std::optional<core::SpdfOptions> options;
+};
+
+/// What made a revision.
+enum class RevisionKind { kCreate, kUpload, kProcess };
+
+struct RevisionInfo {
+  int64_t number = 0;
+  RevisionKind kind = RevisionKind::kCreate;
+  absl::Time create_time;
+  int64_t raw_point_count = 0;
+  /// The newest processed revision as of this one; 0: none.
+  int64_t processed_revision = 0;
+};
+
+// Uploads.
+
+/// Largest block of an upload, in its encoded form.
+inline constexpr int64_t kMaxUploadBlockBytes = int64_t{64} << 20;
+/// Distinct attributes of a map.
+inline constexpr size_t kMaxMapAttributes = 1000;
+/// Names that begin so are the engine's own; no attribute may have one.
+inline constexpr std::string_view kReservedAttributePrefix = "spdf.";
+
+/// An upload to be opened. Its bytes are point blocks of core/codec back to
+/// back, of any size up to kMaxUploadBlockBytes.
+struct UploadSpec {
+  /// [a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?.
+  std::string upload_id;
+  /// Bytes of the whole upload.
+  int64_t expected_bytes = 0;
+  /// ContentHash of all bytes.
+  std::string content_hash;
+  /// Points that the client left out, kept for the report.
+  core::RefusedCounts refused;
+
+  friend bool operator==(const UploadSpec&, const UploadSpec&) = default;
+};
+
+/// What finalizing an upload did.
+struct UploadReport {
+  /// The revision that added the points.
+  int64_t revision = 0;
+  int64_t added_point_count = 0;
+  core::RefusedCounts refused;
+  /// Point blocks in the upload.
+  int64_t block_count = 0;
+  /// Tiles that got points.
+  int64_t tile_count = 0;
+  /// Of the added points; nothing if there were none.
+  std::optional<Bounds> bounds;
+
+  friend bool operator==(const UploadReport&, const UploadReport&) = default;
+};
+
+enum class UploadState {
+  /// Takes bytes.
+  kActive,
+  /// Its points are being added.
+  kFinalizing,
+  /// Its points are in the map.
+  kFinalized,
+  /// Its bytes cannot become points of the map.
+  kFailed,
+};
+
+struct UploadInfo {
+  UploadSpec spec;
+  UploadState state = UploadState::kActive;
+  /// Durable bytes; never decreases.
+  int64_t committed_bytes = 0;
+  absl::Time create_time;
+  /// Once it is finalized.
+  std::optional<UploadReport> report;
+};
+
+// Operations.
+
+enum class OperationVerb { kFinalizeUpload, kProcessMap };
+enum class OperationState {
+  kQueued,
+  kRunning,
+  kSucceeded,
+  kFailed,
+  kCancelled
+};
+
+/// What a run of the filter did.
+struct ProcessReport {
+  /// The revision that holds the result; that of the run before if nothing had
+  /// to be done.
+  int64_t revision = 0;
+  /// Distinct lattice points of the map.
+  int64_t distinct_point_count = 0;
+  /// Survivors of the filter without outliers.
+  int64_t point_count = 0;
+  /// point_count by label.
+  core::LabelCounts label_counts{};
+  /// Survivors of the filter that are outliers.
+  int64_t outlier_count = 0;
+  int round_count = 0;
+
+  friend bool operator==(const ProcessReport&, const ProcessReport&) = default;
+};
+
+/// Work that outlasts a call and a restart.
+struct Operation {
+  std::string operation_id;
+  OperationVerb verb = OperationVerb::kProcessMap;
+  std::string map_id;
+  /// Of kFinalizeUpload, else empty.
+  std::string upload_id;
+  OperationState state = OperationState::kQueued;
+  absl::Time create_time;
+  std::optional<absl::Time> start_time;
+  std::optional<absl::Time> end_time;
+  /// Units of work finished and in all; done never decreases and never exceeds
+  /// the total, which is 0 until it is known.
+  int64_t done_work = 0;
+  int64_t total_work = 0;
+  bool cancel_requested = false;
+  /// Not OK for kFailed and kCancelled.
+  absl::Status error;
+  /// Once it succeeded, the one of its verb.
+  std::optional<UploadReport> upload_report;
+  std::optional<ProcessReport> process_report;
+
+  bool done() const {
+    return state != OperationState::kQueued &&
+           state != OperationState::kRunning;
+  }
+};
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_TYPES_H_
