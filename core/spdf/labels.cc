@@ -5,20 +5,6 @@
 
 namespace mapsieve::core {
 
-std::string_view LabelName(Label label) {
-  switch (label) {
-    case Label::kNone:
-      break;
-    case Label::kJunction:
-      return "junction";
-    case Label::kCurve:
-      return "curve";
-    case Label::kSurface:
-      return "surface";
-  }
-  return "none";
-}
-
 void LabelColumns::Reserve(size_t size) {
   label.reserve(size);
   confidence.reserve(size);

@@ -3,28 +3,13 @@
 
 #include <array>
 #include <cstdint>
-#include <string_view>
 #include <vector>
 
+#include "core/cloud/label.h"
 #include "core/geometry/octahedral.h"
 
 namespace mapsieve::core {
 
-/// The geometric primitive a point lies on. The numbers are part of the
-/// formats (and libpointmatcher's).
-enum class Label : uint8_t {
-  /// No neighbour within reach: no vote, so no label.
-  kNone = 0,
-  kJunction = 1,
-  kCurve = 2,
-  kSurface = 3,
-};
-inline constexpr size_t kLabelCount = 4;
-
-/// "none", "junction", "curve", "surface".
-std::string_view LabelName(Label label);
-
-using LabelCounts = std::array<int64_t, kLabelCount>;
 /// Largest confidence of each label in a map.
 using MaxConfidence = std::array<uint16_t, kLabelCount>;
 
