@@ -1,0 +1,46 @@
+#ifndef MAPSIEVE_CLIENT_API_BLOCK_SOURCE_H_
+#define MAPSIEVE_CLIENT_API_BLOCK_SOURCE_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/cloud/point_cloud.h"
+
+namespace mapsieve::client {
+
+/// The point blocks (core/codec) of one upload, which can be produced again
+/// and again with the same bytes: an offset into an upload always means the
+/// same byte, so that it can be resumed. Not thread-safe.
+class BlockSource {
+ public:
+  virtual ~BlockSource() = default;
+  /// Starts again with the first block.
+  virtual absl::Status Rewind() = 0;
+  /// The next block; empty at the end.
+  virtual absl::StatusOr<std::vector<std::byte>> NextBlock() = 0;
+  /// Points left out of the blocks since the last Rewind.
+  virtual core::RefusedCounts refused() const = 0;
+};
+
+/// Points of an upload's block at most: large enough to compress well, small
+/// enough to hold many of.
+inline constexpr size_t kUploadBlockPoints = 65536;
+
+/// Blocks of a cloud in memory, which must outlive the source.
+class CloudBlocks final : public BlockSource {
+ public:
+  explicit CloudBlocks(const core::LatticeCloud& cloud) : cloud_(cloud) {}
+  absl::Status Rewind() override;
+  absl::StatusOr<std::vector<std::byte>> NextBlock() override;
+  core::RefusedCounts refused() const override { return {}; }
+
+ private:
+  const core::LatticeCloud& cloud_;
+  size_t next_ = 0;
+};
+
+}  // namespace mapsieve::client
+
+#endif  // MAPSIEVE_CLIENT_API_BLOCK_SOURCE_H_

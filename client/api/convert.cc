@@ -1,0 +1,200 @@
+#include "client/api/convert.h"
+
+namespace mapsieve::client {
+namespace {
+
+core::Point3 FromProto(const v1::Vector3& v) { return {v.x(), v.y(), v.z()}; }
+
+void ToProto(const core::Point3& p, v1::Vector3* v) {
+  v->set_x(p.x);
+  v->set_y(p.y);
+  v->set_z(p.z);
+}
+
+core::LabelCounts FromProto(const v1::LabelCounts& counts) {
+  return {counts.none(), counts.junction(), counts.curve(), counts.surface()};
+}
+
+Bounds FromProto(const v1::Box& box) {
+  return {FromProto(box.min()), FromProto(box.max())};
+}
+
+core::ColumnSpec FromProto(const v1::ColumnSpec& spec) {
+  return {spec.name(), static_cast<core::ScalarType>(spec.type())};
+}
+
+ProcessOptions FromProto(const v1::SpdfOptions& options) {
+  ProcessOptions result;
+  if (options.has_vote_scale_m2()) {
+    result.vote_scale_m2 = options.vote_scale_m2();
+  }
+  if (options.has_density_radius_m()) {
+    result.density_radius_m = options.density_radius_m();
+  }
+  if (options.has_neighbor_count()) {
+    result.neighbor_count = options.neighbor_count();
+  }
+  if (options.has_reach_m()) result.reach_m = options.reach_m();
+  if (options.has_max_round_count()) {
+    result.max_round_count = options.max_round_count();
+  }
+  if (options.has_rule()) {
+    result.quota_rule = options.rule() == v1::DENSITY_RULE_QUOTA;
+  }
+  if (options.has_seed()) result.seed = options.seed();
+  if (options.has_outlier_share()) {
+    result.outlier_share = options.outlier_share();
+  }
+  return result;
+}
+
+}  // namespace
+
+absl::Status ToStatus(const grpc::Status& status) {
+  return {static_cast<absl::StatusCode>(status.error_code()),
+          status.error_message()};
+}
+
+absl::Status ToStatus(const v1::RpcStatus& status) {
+  return {static_cast<absl::StatusCode>(status.code()), status.message()};
+}
+
+std::string MapName(const std::string& map_id) { return "maps/" + map_id; }
+
+std::string LastSegment(const std::string& name) {
+  return name.substr(name.rfind('/') + 1);
+}
+
+MapInfo FromProto(const v1::Map& map) {
+  return {.id = LastSegment(map.name()),
+          .uid = map.uid(),
+          .display_name = map.display_name(),
+          .step_nm = map.step_nm(),
+          .tile_level = map.tile_level(),
+          .crs_wkt = map.crs_wkt(),
+          .revision = map.revision(),
+          .processed_revision = map.processed_revision()};
+}
+
+MapStats FromProto(const v1::MapStats& stats) {
+  MapStats result = {.revision = stats.revision(),
+                     .processed_revision = stats.processed_revision(),
+                     .raw_point_count = stats.raw_point_count(),
+                     .point_count = stats.point_count(),
+                     .label_counts = FromProto(stats.label_counts()),
+                     .outlier_count = stats.outlier_count(),
+                     .stored_bytes = stats.stored_bytes(),
+                     .tile_count = stats.tile_count(),
+                     .stale_tile_count = stats.stale_tile_count()};
+  if (stats.has_bounds()) result.bounds = FromProto(stats.bounds());
+  for (const v1::ColumnSpec& spec : stats.attributes()) {
+    result.attributes.push_back(FromProto(spec));
+  }
+  if (stats.has_options()) result.options = FromProto(stats.options());
+  return result;
+}
+
+UploadReport FromProto(const v1::UploadReport& report) {
+  UploadReport result = {
+      .revision = report.revision(),
+      .added_point_count = report.added_point_count(),
+      .refused_non_finite_count = report.refused_non_finite_count(),
+      .refused_out_of_lattice_count = report.refused_out_of_lattice_count(),
+      .tile_count = report.tile_count()};
+  if (report.has_bounds()) result.bounds = FromProto(report.bounds());
+  return result;
+}
+
+ProcessReport FromProto(const v1::ProcessMapResponse& response) {
+  return {.revision = response.revision(),
+          .distinct_point_count = response.distinct_point_count(),
+          .point_count = response.point_count(),
+          .label_counts = FromProto(response.label_counts()),
+          .outlier_count = response.outlier_count(),
+          .round_count = response.round_count()};
+}
+
+OperationInfo FromProto(const v1::Operation& operation) {
+  OperationInfo result = {.id = LastSegment(operation.name()),
+                          .done = operation.done()};
+  v1::OperationMetadata metadata;
+  if (operation.metadata().UnpackTo(&metadata)) {
+    result.target = metadata.target();
+    result.verb = metadata.verb();
+    result.done_work = metadata.done_work();
+    result.total_work = metadata.total_work();
+  }
+  return result;
+}
+
+QueryHeader FromProto(const v1::QueryHeader& header) {
+  QueryHeader result = {
+      .revision = header.revision(),
+      .step_nm = header.step_nm(),
+      .candidate_point_count = header.candidate_point_count()};
+  for (const v1::ColumnSpec& spec : header.columns()) {
+    result.columns.push_back(FromProto(spec));
+  }
+  return result;
+}
+
+QuerySummary FromProto(const v1::QuerySummary& summary) {
+  return {.point_count = summary.point_count(),
+          .label_counts = FromProto(summary.label_counts())};
+}
+
+v1::SpdfOptions ToProto(const ProcessOptions& options) {
+  v1::SpdfOptions result;
+  if (options.vote_scale_m2) result.set_vote_scale_m2(*options.vote_scale_m2);
+  if (options.density_radius_m) {
+    result.set_density_radius_m(*options.density_radius_m);
+  }
+  if (options.neighbor_count) {
+    result.set_neighbor_count(*options.neighbor_count);
+  }
+  if (options.reach_m) result.set_reach_m(*options.reach_m);
+  if (options.max_round_count) {
+    result.set_max_round_count(*options.max_round_count);
+  }
+  if (options.quota_rule) {
+    result.set_rule(*options.quota_rule ? v1::DENSITY_RULE_QUOTA
+                                        : v1::DENSITY_RULE_PAPER);
+  }
+  if (options.seed) result.set_seed(*options.seed);
+  if (options.outlier_share) result.set_outlier_share(*options.outlier_share);
+  return result;
+}
+
+v1::QueryRegionRequest ToProto(const QuerySpec& spec) {
+  v1::QueryRegionRequest request;
+  request.set_name(MapName(spec.map_id));
+  request.set_revision(spec.revision);
+  if (const auto* box = std::get_if<BoxRegion>(&spec.region)) {
+    ToProto(box->min, request.mutable_box()->mutable_min());
+    ToProto(box->max, request.mutable_box()->mutable_max());
+  } else if (const auto* sphere = std::get_if<SphereRegion>(&spec.region)) {
+    ToProto(sphere->center, request.mutable_sphere()->mutable_center());
+    request.mutable_sphere()->set_radius(sphere->radius);
+  }
+  for (const core::Label label : spec.labels) {
+    request.add_labels(static_cast<v1::Label>(label));
+  }
+  request.set_max_point_count(spec.max_point_count);
+  if (spec.columns.has_value()) {
+    v1::ColumnSelection* columns = request.mutable_columns();
+    for (const FilterColumn column : spec.columns->filter_columns) {
+      columns->add_filter_columns(static_cast<v1::FilterColumn>(column));
+    }
+    for (const std::string& name : spec.columns->attributes) {
+      columns->add_attributes(name);
+    }
+    columns->set_all_attributes(spec.columns->all_attributes);
+  }
+  request.set_raw(spec.raw);
+  if (spec.centroids) {
+    request.set_representative(v1::REPRESENTATIVE_CENTROID);
+  }
+  return request;
+}
+
+}  // namespace mapsieve::client

@@ -1,0 +1,422 @@
+#include "client/api/map_client.h"
+
+#include <algorithm>
+#include <atomic>
+#include <thread>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/api/convert.h"
+#include "core/base/hash.h"
+#include "core/base/status.h"
+#include "core/codec/points_codec.h"
+#include "grpcpp/create_channel.h"
+#include "grpcpp/security/credentials.h"
+#include "mapsieve/v1/map_service.grpc.pb.h"
+#include "mapsieve/v1/operations.grpc.pb.h"
+#include "mapsieve/v1/processing_service.grpc.pb.h"
+#include "mapsieve/v1/query_service.grpc.pb.h"
+#include "mapsieve/v1/upload_service.grpc.pb.h"
+
+namespace mapsieve::client {
+namespace {
+
+/// Bytes of one WriteUploadRequest.
+constexpr size_t kPieceBytes = 1 << 20;
+/// Seconds of one WaitOperation: how often progress is seen.
+constexpr int kWaitSeconds = 1;
+
+/// Length and hash of all blocks of a source.
+struct Digest {
+  int64_t bytes = 0;
+  std::string hash;
+  core::RefusedCounts refused;
+};
+
+absl::StatusOr<Digest> DigestOf(BlockSource& source) {
+  MAPSIEVE_RETURN_IF_ERROR(source.Rewind());
+  Digest digest;
+  ContentHasher hasher;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
+                              source.NextBlock());
+    if (block.empty()) break;
+    hasher.Update(block);
+    digest.bytes += static_cast<int64_t>(block.size());
+  }
+  digest.hash = hasher.HexDigest();
+  digest.refused = source.refused();
+  return digest;
+}
+
+class GrpcQueryStream final : public QueryStream {
+ public:
+  GrpcQueryStream(v1::QueryService::Stub& stub, const QuerySpec& spec)
+      : reader_(stub.QueryRegion(&context_, ToProto(spec))) {}
+
+  ~GrpcQueryStream() override {
+    if (finished_) return;
+    context_.TryCancel();
+    reader_->Finish();
+  }
+
+  absl::Status ReadHeader() {
+    v1::QueryRegionResponse response;
+    if (!reader_->Read(&response)) return Broken();
+    if (!response.has_header()) {
+      return absl::DataLossError("the answer does not start with a header");
+    }
+    header_ = FromProto(response.header());
+    return absl::OkStatus();
+  }
+
+  const QueryHeader& header() const override { return header_; }
+  const QuerySummary& summary() const override { return summary_; }
+
+  absl::StatusOr<core::LatticeCloud> Next() override {
+    core::LatticeCloud end{.lattice = core::Lattice(header_.step_nm)};
+    if (finished_) return end;
+    v1::QueryRegionResponse response;
+    while (reader_->Read(&response)) {
+      if (response.has_summary()) {
+        summary_ = FromProto(response.summary());
+        finished_ = true;
+        MAPSIEVE_RETURN_IF_ERROR(ToStatus(reader_->Finish()));
+        return end;
+      }
+      if (!response.has_batch()) {
+        return absl::DataLossError(
+            "a message of the answer is neither batch "
+            "nor summary");
+      }
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          core::LatticeCloud cloud,
+          core::DecodePoints(TextBytes(response.batch().block())));
+      MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(cloud));
+      if (cloud.size() > 0) return cloud;
+    }
+    return Broken();
+  }
+
+ private:
+  absl::Status Broken() {
+    finished_ = true;
+    const absl::Status status = ToStatus(reader_->Finish());
+    if (!status.ok()) return status;
+    return absl::DataLossError("the answer ended without its summary");
+  }
+
+  /// Gives the batch every column of the header, in that order.
+  absl::Status CompleteColumns(core::LatticeCloud& cloud) const {
+    core::ColumnSet complete;
+    for (const core::ColumnSpec& spec : header_.columns) {
+      core::Column* found = cloud.attributes.Find(spec.name);
+      if (found == nullptr) {
+        core::Column missing(spec);
+        missing.AppendMissing(cloud.size());
+        MAPSIEVE_RETURN_IF_ERROR(complete.Add(std::move(missing)));
+        continue;
+      }
+      if (!(found->spec() == spec)) {
+        return absl::DataLossError(
+            absl::StrCat("column \"", spec.name,
+                         "\" of a batch has another type than the "
+                         "header says"));
+      }
+      MAPSIEVE_RETURN_IF_ERROR(complete.Add(std::move(*found)));
+    }
+    cloud.attributes = std::move(complete);
+    return absl::OkStatus();
+  }
+
+  grpc::ClientContext context_;
+  std::unique_ptr<grpc::ClientReader<v1::QueryRegionResponse>> reader_;
+  QueryHeader header_;
+  QuerySummary summary_;
+  bool finished_ = false;
+};
+
+}  // namespace
+
+struct MapClient::Connection {
+  explicit Connection(const std::string& server)
+      : channel(
+            grpc::CreateChannel(server, grpc::InsecureChannelCredentials())),
+        maps(v1::MapService::NewStub(channel)),
+        uploads(v1::UploadService::NewStub(channel)),
+        processing(v1::ProcessingService::NewStub(channel)),
+        operations(v1::Operations::NewStub(channel)),
+        queries(v1::QueryService::NewStub(channel)) {}
+
+  /// Sends the bytes of `source` from `offset` on; `sent` receives how many.
+  absl::Status Write(const std::string& upload_name, BlockSource& source,
+                     int64_t offset, int64_t total,
+                     const ProgressCallback& progress, int64_t& sent);
+
+  /// Waits until an operation is done and returns its result.
+  absl::StatusOr<google::protobuf::Any> Wait(const std::string& name,
+                                             const ProgressCallback& progress);
+
+  std::shared_ptr<grpc::Channel> channel;
+  std::unique_ptr<v1::MapService::Stub> maps;
+  std::unique_ptr<v1::UploadService::Stub> uploads;
+  std::unique_ptr<v1::ProcessingService::Stub> processing;
+  std::unique_ptr<v1::Operations::Stub> operations;
+  std::unique_ptr<v1::QueryService::Stub> queries;
+};
+
+MapClient::MapClient(const std::string& server)
+    : connection_(std::make_unique<Connection>(server)) {}
+
+MapClient::~MapClient() = default;
+
+absl::StatusOr<MapInfo> MapClient::CreateMap(const MapSpec& spec) {
+  grpc::ClientContext context;
+  v1::CreateMapRequest request;
+  request.set_map_id(spec.id);
+  request.set_step_nm(spec.step_nm);
+  request.set_tile_edge(spec.tile_edge);
+  request.set_display_name(spec.display_name);
+  request.set_crs_wkt(spec.crs_wkt);
+  v1::Map map;
+  MAPSIEVE_RETURN_IF_ERROR(
+      ToStatus(connection_->maps->CreateMap(&context, request, &map)));
+  return FromProto(map);
+}
+
+absl::StatusOr<MapInfo> MapClient::GetMap(const std::string& map_id) {
+  grpc::ClientContext context;
+  v1::GetMapRequest request;
+  request.set_name(MapName(map_id));
+  v1::Map map;
+  MAPSIEVE_RETURN_IF_ERROR(
+      ToStatus(connection_->maps->GetMap(&context, request, &map)));
+  return FromProto(map);
+}
+
+absl::StatusOr<std::vector<MapInfo>> MapClient::ListMaps() {
+  std::vector<MapInfo> maps;
+  v1::ListMapsRequest request;
+  do {
+    grpc::ClientContext context;
+    v1::ListMapsResponse response;
+    MAPSIEVE_RETURN_IF_ERROR(
+        ToStatus(connection_->maps->ListMaps(&context, request, &response)));
+    for (const v1::Map& map : response.maps()) maps.push_back(FromProto(map));
+    request.set_page_token(response.next_page_token());
+  } while (!request.page_token().empty());
+  return maps;
+}
+
+absl::Status MapClient::DeleteMap(const std::string& map_id, bool force) {
+  grpc::ClientContext context;
+  v1::DeleteMapRequest request;
+  request.set_name(MapName(map_id));
+  request.set_force(force);
+  google::protobuf::Empty empty;
+  return ToStatus(connection_->maps->DeleteMap(&context, request, &empty));
+}
+
+absl::StatusOr<MapStats> MapClient::GetMapStats(const std::string& map_id) {
+  grpc::ClientContext context;
+  v1::GetMapStatsRequest request;
+  request.set_name(MapName(map_id) + "/stats");
+  v1::MapStats stats;
+  MAPSIEVE_RETURN_IF_ERROR(
+      ToStatus(connection_->maps->GetMapStats(&context, request, &stats)));
+  return FromProto(stats);
+}
+
+absl::Status MapClient::Connection::Write(const std::string& upload_name,
+                                          BlockSource& source, int64_t offset,
+                                          int64_t total,
+                                          const ProgressCallback& progress,
+                                          int64_t& sent) {
+  MAPSIEVE_RETURN_IF_ERROR(source.Rewind());
+  grpc::ClientContext context;
+  const auto stream = uploads->WriteUpload(&context);
+  // Acknowledgements come while requests still go out.
+  std::thread acknowledgements([&] {
+    v1::WriteUploadResponse response;
+    while (stream->Read(&response)) {
+      if (progress) progress(response.committed_bytes(), total);
+    }
+  });
+  const auto send_all = [&]() -> absl::Status {
+    int64_t position = 0;
+    v1::WriteUploadRequest request;
+    request.set_name(upload_name);
+    while (true) {
+      MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
+                                source.NextBlock());
+      if (block.empty()) return absl::OkStatus();
+      const auto size = static_cast<int64_t>(block.size());
+      auto begin =
+          static_cast<size_t>(std::clamp<int64_t>(offset - position, 0, size));
+      for (; begin < block.size(); begin += kPieceBytes) {
+        const auto piece = std::span(block).subspan(
+            begin, std::min(kPieceBytes, block.size() - begin));
+        request.set_write_offset(position + static_cast<int64_t>(begin));
+        request.mutable_data()->set_content(piece.data(), piece.size());
+        request.mutable_data()->set_xxh3_64(Hash64(piece));
+        // A refused write means that the stream is over: Finish says why.
+        if (!stream->Write(request)) return absl::OkStatus();
+        request.clear_name();
+        sent += static_cast<int64_t>(piece.size());
+      }
+      position += size;
+    }
+  };
+  const absl::Status read = send_all();
+  if (read.ok()) {
+    stream->WritesDone();
+  } else {
+    context.TryCancel();
+  }
+  acknowledgements.join();
+  const absl::Status written = ToStatus(stream->Finish());
+  return read.ok() ? written : read;
+}
+
+absl::StatusOr<google::protobuf::Any> MapClient::Connection::Wait(
+    const std::string& name, const ProgressCallback& progress) {
+  v1::WaitOperationRequest request;
+  request.set_name(name);
+  request.mutable_timeout()->set_seconds(kWaitSeconds);
+  while (true) {
+    grpc::ClientContext context;
+    v1::Operation operation;
+    MAPSIEVE_RETURN_IF_ERROR(
+        ToStatus(operations->WaitOperation(&context, request, &operation)));
+    const OperationInfo info = FromProto(operation);
+    if (progress) progress(info.done_work, info.total_work);
+    if (!operation.done()) continue;
+    if (operation.has_error()) return ToStatus(operation.error());
+    return operation.response();
+  }
+}
+
+absl::StatusOr<UploadReport> MapClient::Upload(
+    const std::string& map_id, BlockSource& source,
+    const ProgressCallback& progress) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, GetMap(map_id));
+  MAPSIEVE_ASSIGN_OR_RETURN(const Digest digest, DigestOf(source));
+  v1::Upload upload;
+  {
+    grpc::ClientContext context;
+    v1::CreateUploadRequest request;
+    request.set_parent(MapName(map_id));
+    // The same bytes for the same map are the same upload.
+    request.set_upload_id(ContentHash(TextBytes(map.uid + digest.hash)));
+    request.mutable_upload()->set_expected_bytes(digest.bytes);
+    request.mutable_upload()->set_content_hash(digest.hash);
+    request.mutable_upload()->set_refused_non_finite_count(
+        digest.refused.non_finite);
+    request.mutable_upload()->set_refused_out_of_lattice_count(
+        digest.refused.out_of_lattice);
+    MAPSIEVE_RETURN_IF_ERROR(ToStatus(
+        connection_->uploads->CreateUpload(&context, request, &upload)));
+  }
+  if (upload.state() == v1::Upload::STATE_FINALIZED) {
+    UploadReport report = FromProto(upload.report());
+    report.already_there = true;
+    report.upload_bytes = digest.bytes;
+    return report;
+  }
+  int64_t sent = 0;
+  if (upload.state() == v1::Upload::STATE_ACTIVE &&
+      upload.committed_bytes() < digest.bytes) {
+    MAPSIEVE_RETURN_IF_ERROR(connection_->Write(upload.name(), source,
+                                                upload.committed_bytes(),
+                                                digest.bytes, progress, sent));
+  }
+  v1::Operation operation;
+  {
+    grpc::ClientContext context;
+    v1::FinalizeUploadRequest request;
+    request.set_name(upload.name());
+    MAPSIEVE_RETURN_IF_ERROR(ToStatus(
+        connection_->uploads->FinalizeUpload(&context, request, &operation)));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const google::protobuf::Any result,
+                            connection_->Wait(operation.name(), {}));
+  v1::FinalizeUploadResponse response;
+  if (!result.UnpackTo(&response)) {
+    return absl::InternalError("the server's result is of another type");
+  }
+  UploadReport report = FromProto(response.report());
+  report.upload_bytes = digest.bytes;
+  report.sent_bytes = sent;
+  return report;
+}
+
+absl::StatusOr<std::string> MapClient::StartProcess(
+    const std::string& map_id, const std::optional<ProcessOptions>& options) {
+  grpc::ClientContext context;
+  v1::ProcessMapRequest request;
+  request.set_name(MapName(map_id));
+  if (options.has_value()) *request.mutable_options() = ToProto(*options);
+  v1::Operation operation;
+  MAPSIEVE_RETURN_IF_ERROR(ToStatus(
+      connection_->processing->ProcessMap(&context, request, &operation)));
+  return LastSegment(operation.name());
+}
+
+absl::StatusOr<ProcessReport> MapClient::WaitForProcess(
+    const std::string& operation_id, const ProgressCallback& progress) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const google::protobuf::Any result,
+      connection_->Wait("operations/" + operation_id, progress));
+  v1::ProcessMapResponse response;
+  if (!result.UnpackTo(&response)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "operation \"", operation_id, "\" is no run of the filter"));
+  }
+  return FromProto(response);
+}
+
+absl::StatusOr<OperationInfo> MapClient::GetOperation(
+    const std::string& operation_id) {
+  grpc::ClientContext context;
+  v1::GetOperationRequest request;
+  request.set_name("operations/" + operation_id);
+  v1::Operation operation;
+  MAPSIEVE_RETURN_IF_ERROR(ToStatus(
+      connection_->operations->GetOperation(&context, request, &operation)));
+  return FromProto(operation);
+}
+
+absl::Status MapClient::CancelOperation(const std::string& operation_id) {
+  grpc::ClientContext context;
+  v1::CancelOperationRequest request;
+  request.set_name("operations/" + operation_id);
+  google::protobuf::Empty empty;
+  return ToStatus(
+      connection_->operations->CancelOperation(&context, request, &empty));
+}
+
+absl::StatusOr<std::unique_ptr<QueryStream>> MapClient::Query(
+    const QuerySpec& spec) {
+  auto stream = std::make_unique<GrpcQueryStream>(*connection_->queries, spec);
+  MAPSIEVE_RETURN_IF_ERROR(stream->ReadHeader());
+  return stream;
+}
+
+absl::StatusOr<core::LatticeCloud> MapClient::QueryAll(const QuerySpec& spec) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<QueryStream> stream,
+                            Query(spec));
+  core::LatticeCloud all{.lattice = core::Lattice(stream->header().step_nm)};
+  for (const core::ColumnSpec& column : stream->header().columns) {
+    MAPSIEVE_RETURN_IF_ERROR(all.attributes.Add(core::Column(column)));
+  }
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud batch, stream->Next());
+    if (batch.size() == 0) return all;
+    MAPSIEVE_RETURN_IF_ERROR(
+        all.attributes.AppendAll(all.size(), batch.attributes, batch.size()));
+    all.positions.insert(all.positions.end(), batch.positions.begin(),
+                         batch.positions.end());
+  }
+}
+
+}  // namespace mapsieve::client

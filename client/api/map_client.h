@@ -1,0 +1,85 @@
+#ifndef MAPSIEVE_CLIENT_API_MAP_CLIENT_H_
+#define MAPSIEVE_CLIENT_API_MAP_CLIENT_H_
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "client/api/block_source.h"
+#include "client/api/map_types.h"
+#include "core/cloud/point_cloud.h"
+
+namespace mapsieve::client {
+
+/// Called with counts of finished and of all work; the total is 0 until known.
+using ProgressCallback = std::function<void(int64_t done, int64_t total)>;
+
+/// A running answer. Not thread-safe.
+class QueryStream {
+ public:
+  virtual ~QueryStream() = default;
+  virtual const QueryHeader& header() const = 0;
+  /// The next points, on the map's lattice; an empty cloud at the end of a
+  /// complete answer. An answer that breaks off is an error, kDataLoss if the
+  /// server sent no summary.
+  virtual absl::StatusOr<core::LatticeCloud> Next() = 0;
+  /// Set once Next returned an empty cloud.
+  virtual const QuerySummary& summary() const = 0;
+};
+
+/// Client of a mapsieve server. Errors are the server's, by code; a server that
+/// cannot be reached is kUnavailable. Thread-safe.
+class MapClient {
+ public:
+  /// `server`: HOST:PORT. Connects at the first call.
+  explicit MapClient(const std::string& server);
+  ~MapClient();
+  MapClient(const MapClient&) = delete;
+  MapClient& operator=(const MapClient&) = delete;
+
+  /// kAlreadyExists, kInvalidArgument.
+  absl::StatusOr<MapInfo> CreateMap(const MapSpec& spec);
+  /// kNotFound.
+  absl::StatusOr<MapInfo> GetMap(const std::string& map_id);
+  /// All maps, by id.
+  absl::StatusOr<std::vector<MapInfo>> ListMaps();
+  /// kNotFound; kFailedPrecondition (unfinished uploads or a running operation
+  /// and no `force`).
+  absl::Status DeleteMap(const std::string& map_id, bool force);
+  absl::StatusOr<MapStats> GetMapStats(const std::string& map_id);
+
+  /// Adds the points of `source` to a map and returns when they are durable
+  /// parts of it. Resumes an upload of the same bytes that broke off; an upload
+  /// that was finished before adds nothing. `progress` counts durable bytes.
+  absl::StatusOr<UploadReport> Upload(const std::string& map_id,
+                                      BlockSource& source,
+                                      const ProgressCallback& progress = {});
+
+  /// Starts the filter over a map and returns the operation's id. No options:
+  /// those of the map's last run. kFailedPrecondition (empty map), kAborted (a
+  /// run is going on).
+  absl::StatusOr<std::string> StartProcess(
+      const std::string& map_id, const std::optional<ProcessOptions>& options);
+  /// Waits for an operation that StartProcess started.
+  absl::StatusOr<ProcessReport> WaitForProcess(
+      const std::string& operation_id, const ProgressCallback& progress = {});
+  absl::StatusOr<OperationInfo> GetOperation(const std::string& operation_id);
+  absl::Status CancelOperation(const std::string& operation_id);
+
+  /// Starts a query and returns when its header is there.
+  absl::StatusOr<std::unique_ptr<QueryStream>> Query(const QuerySpec& spec);
+  /// The whole answer in memory, for answers that are known to fit.
+  absl::StatusOr<core::LatticeCloud> QueryAll(const QuerySpec& spec);
+
+ private:
+  struct Connection;
+  std::unique_ptr<Connection> connection_;
+};
+
+}  // namespace mapsieve::client
+
+#endif  // MAPSIEVE_CLIENT_API_MAP_CLIENT_H_

@@ -1,0 +1,186 @@
+#ifndef MAPSIEVE_CLIENT_API_MAP_TYPES_H_
+#define MAPSIEVE_CLIENT_API_MAP_TYPES_H_
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "core/cloud/column.h"
+#include "core/cloud/label.h"
+#include "core/geometry/lattice.h"
+
+/// What the client library's calls take and return. Lengths are in map units,
+/// metres unless the map's coordinate reference system says otherwise.
+namespace mapsieve::client {
+
+/// A map to create.
+struct MapSpec {
+  /// [a-z]([a-z0-9-]{0,61}[a-z0-9])?
+  std::string id;
+  /// Edge of a lattice cell in nanometres of the map unit.
+  int64_t step_nm = core::kDefaultStepNm;
+  /// Edge of a processing tile; rounded up to a power of two of steps. 0: the
+  /// server's default, 2^15 steps.
+  double tile_edge = 0;
+  std::string display_name;
+  std::string crs_wkt;
+};
+
+struct MapInfo {
+  std::string id;
+  /// Never used again, even for a map of the same id.
+  std::string uid;
+  std::string display_name;
+  int64_t step_nm = 0;
+  int tile_level = 0;
+  std::string crs_wkt;
+  int64_t revision = 0;
+  /// Newest revision that the filter has processed; 0: none.
+  int64_t processed_revision = 0;
+};
+
+/// Closed box of positions.
+struct Bounds {
+  core::Point3 min;
+  core::Point3 max;
+};
+
+/// Parameters of the filter; an unset one takes its default. See
+/// proto/mapsieve/v1/types.proto for their ranges.
+struct ProcessOptions {
+  std::optional<double> vote_scale_m2;
+  std::optional<double> density_radius_m;
+  std::optional<int> neighbor_count;
+  std::optional<double> reach_m;
+  std::optional<int> max_round_count;
+  /// Rule quota instead of paper.
+  std::optional<bool> quota_rule;
+  std::optional<int64_t> seed;
+  std::optional<double> outlier_share;
+
+  friend bool operator==(const ProcessOptions&,
+                         const ProcessOptions&) = default;
+};
+
+/// Counts and sizes of a map's newest revision.
+struct MapStats {
+  int64_t revision = 0;
+  int64_t processed_revision = 0;
+  int64_t raw_point_count = 0;
+  /// Points that a query of the whole map returns.
+  int64_t point_count = 0;
+  core::LabelCounts label_counts{};
+  int64_t outlier_count = 0;
+  int64_t stored_bytes = 0;
+  int64_t tile_count = 0;
+  int64_t stale_tile_count = 0;
+  std::optional<Bounds> bounds;
+  std::vector<core::ColumnSpec> attributes;
+  std::optional<ProcessOptions> options;
+};
+
+/// What became of an upload.
+struct UploadReport {
+  int64_t revision = 0;
+  int64_t added_point_count = 0;
+  int64_t refused_non_finite_count = 0;
+  int64_t refused_out_of_lattice_count = 0;
+  int64_t tile_count = 0;
+  std::optional<Bounds> bounds;
+  /// The same points had been uploaded before: nothing was added now.
+  bool already_there = false;
+  /// Bytes of the upload, and how many of them were sent by this call.
+  int64_t upload_bytes = 0;
+  int64_t sent_bytes = 0;
+};
+
+struct ProcessReport {
+  int64_t revision = 0;
+  int64_t distinct_point_count = 0;
+  int64_t point_count = 0;
+  core::LabelCounts label_counts{};
+  int64_t outlier_count = 0;
+  int round_count = 0;
+};
+
+/// Axis-aligned box, min <= p < max.
+struct BoxRegion {
+  core::Point3 min;
+  core::Point3 max;
+};
+
+/// Closed ball.
+struct SphereRegion {
+  core::Point3 center;
+  double radius = 0;
+};
+
+/// What the filter says of a point; the answer's columns for each are named in
+/// proto/mapsieve/v1/query_service.proto.
+enum class FilterColumn {
+  kLabel = 1,
+  kConfidence = 2,
+  kNormal = 3,
+  kTangent = 4,
+  kEigenvalues = 5,
+};
+
+struct ColumnSelection {
+  std::vector<FilterColumn> filter_columns;
+  std::vector<std::string> attributes;
+  bool all_attributes = false;
+};
+
+/// Points wanted of a map.
+struct QuerySpec {
+  std::string map_id;
+  /// 0: the newest processed one, or with `raw` the newest one.
+  int64_t revision = 0;
+  /// Nothing: the whole map.
+  std::variant<std::monostate, BoxRegion, SphereRegion> region;
+  /// Empty: all.
+  std::vector<core::Label> labels;
+  /// At most this many points, spread evenly over each label; 0: no limit.
+  int64_t max_point_count = 0;
+  /// Nothing: label, confidence, normal and all attributes.
+  std::optional<ColumnSelection> columns;
+  /// The points as they were uploaded.
+  bool raw = false;
+  /// Centroids instead of the points nearest to them, under a budget.
+  bool centroids = false;
+};
+
+/// What the answer to a query has in common.
+struct QueryHeader {
+  int64_t revision = 0;
+  int64_t step_nm = 0;
+  std::vector<core::ColumnSpec> columns;
+  /// Points to come at most.
+  int64_t candidate_point_count = 0;
+};
+
+/// The end of a complete answer.
+struct QuerySummary {
+  int64_t point_count = 0;
+  core::LabelCounts label_counts{};
+};
+
+/// Work that goes on in the server.
+struct OperationInfo {
+  std::string id;
+  /// "maps/{map}" or the name of an upload.
+  std::string target;
+  /// "ProcessMap" or "FinalizeUpload".
+  std::string verb;
+  bool done = false;
+  int64_t done_work = 0;
+  /// 0 until known.
+  int64_t total_work = 0;
+};
+
+}  // namespace mapsieve::client
+
+#endif  // MAPSIEVE_CLIENT_API_MAP_TYPES_H_
