@@ -17,21 +17,29 @@
 /// table. All functions are thread-safe.
 namespace mapsieve::core {
 
+/// The numbers are part of the format.
 enum class Compression : uint8_t { kNone = 0, kLz4 = 1, kZstd = 2 };
 
-/// Points of a block at most; a block is refused beyond it, before anything is
-/// allocated.
+/// Limits of a block; beyond them it is refused before anything is allocated.
 inline constexpr int64_t kMaxBlockPoints = 16'777'216;
+/// Position columns (at most three) and attributes together.
+inline constexpr size_t kMaxBlockColumns = 1024;
+/// Bytes of an attribute's name, at least 1.
+inline constexpr size_t kMaxColumnNameBytes = 255;
+/// BlockHeader::decoded_bytes of a block.
+inline constexpr int64_t kMaxDecodedBytes = int64_t{1} << 31;
 
 struct EncodeOptions {
+  /// kZstd is smaller by a few percent and slower to write. kNone writes every
+  /// column plain, for readers that know no transform: some four times larger.
   Compression compression = Compression::kLz4;
 };
 
 /// Encodes `cloud` in its order; losslessly, attributes and missing values
 /// included. The same cloud and options give the same bytes, except across
 /// versions of the compression library. Points in Morton order compress best.
-/// kInvalidArgument: more than kMaxBlockPoints points, a coordinate outside
-/// the lattice, columns of unequal length, a name longer than 255 bytes.
+/// kInvalidArgument: a limit above, a coordinate outside the lattice, a step
+/// outside 1 to kMaxStepNm, columns of unequal length, two of one name.
 absl::StatusOr<std::vector<std::byte>> EncodePoints(
     const LatticeCloud& cloud, const EncodeOptions& options = {});
 
@@ -45,12 +53,17 @@ struct BlockHeader {
   /// origin for an empty block.
   LatticePoint min;
   LatticePoint max;
+  /// The attributes, in the order of the block.
   std::vector<ColumnSpec> columns;
+  /// Memory of the decoded cloud: 24 bytes a point, its values, and a byte for
+  /// each value of a column that lacks some.
+  int64_t decoded_bytes = 0;
 };
 
 /// Reads and checks the head of the block that `bytes` starts with; more bytes
-/// may follow the block. kDataLoss: damage, with offset, expected and actual;
-/// kOutOfRange: `bytes` ends inside the head, so more are needed.
+/// may follow the head. kDataLoss: damage, with offset, expected and actual;
+/// kOutOfRange: `bytes` ends inside the head, so more are needed (the message
+/// says how many, 300 kB at most).
 absl::StatusOr<BlockHeader> ReadBlockHeader(std::span<const std::byte> bytes);
 
 /// Bytes that are always enough for ReadBlockHeader to know block_bytes.
@@ -63,11 +76,17 @@ absl::StatusOr<int64_t> ReadBlockLength(std::span<const std::byte> prefix);
 struct DecodeOptions {
   /// Attributes wanted; those the block lacks are left out. Nothing: all.
   std::optional<std::vector<std::string>> attributes;
+  /// Blocks whose wanted columns need more memory are refused: a few bytes
+  /// that a stranger compressed may stand for very many.
+  int64_t max_decoded_bytes = kMaxDecodedBytes;
 };
 
-/// Decodes the block that fills `bytes`. Every length is checked before
-/// memory is allocated for it, every column's checksum before it is used.
-/// kDataLoss: damage, with offset, expected and actual.
+/// Decodes the block that fills `bytes`, without reading the columns that are
+/// not wanted. Every length is checked before memory is allocated for it,
+/// every column's checksum before it is used; the points obey the header's min
+/// and max. Memory beyond the result: less than the result.
+/// kDataLoss: damage, with offset, expected and actual; kResourceExhausted:
+/// options.max_decoded_bytes.
 absl::StatusOr<LatticeCloud> DecodePoints(std::span<const std::byte> bytes,
                                           const DecodeOptions& options = {});
 

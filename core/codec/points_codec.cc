@@ -1,0 +1,519 @@
+#include "core/codec/points_codec.h"
+
+#include <algorithm>
+#include <cstring>
+#include <limits>
+#include <memory>
+#include <set>
+#include <string_view>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "core/base/bytes.h"
+#include "core/base/hash.h"
+#include "core/base/status.h"
+#include "core/codec/block_head.h"
+#include "core/codec/compression.h"
+#include "core/codec/transforms.h"
+#include "core/geometry/cell_key.h"
+#include "core/geometry/morton.h"
+
+namespace mapsieve::core {
+namespace {
+
+struct Bounds {
+  LatticePoint min;
+  LatticePoint max;
+};
+
+Bounds BoundsOf(std::span<const LatticePoint> positions) {
+  if (positions.empty()) return {};
+  Bounds bounds{positions.front(), positions.front()};
+  for (const LatticePoint& q : positions) {
+    bounds.min = {std::min(bounds.min.x, q.x), std::min(bounds.min.y, q.y),
+                  std::min(bounds.min.z, q.z)};
+    bounds.max = {std::max(bounds.max.x, q.x), std::max(bounds.max.y, q.y),
+                  std::max(bounds.max.z, q.z)};
+  }
+  return bounds;
+}
+
+/// Modulo 2^64: no offset that a block claims can overflow.
+constexpr int64_t Plus(int64_t a, int64_t b) {
+  return static_cast<int64_t>(static_cast<uint64_t>(a) +
+                              static_cast<uint64_t>(b));
+}
+
+constexpr int64_t LatticePoint::*kAxes[] = {&LatticePoint::x, &LatticePoint::y,
+                                            &LatticePoint::z};
+
+int64_t DecodedBytes(uint64_t point_count, std::span<const ColumnSpec> specs,
+                     size_t columns_with_missing) {
+  uint64_t bytes_per_point = sizeof(LatticePoint) + columns_with_missing;
+  for (const ColumnSpec& spec : specs) bytes_per_point += ScalarSize(spec.type);
+  return static_cast<int64_t>(point_count * bytes_per_point);
+}
+
+// Encoding.
+
+struct EncodedColumn {
+  ColumnEntry entry;
+  std::vector<std::byte> stored;
+};
+
+/// A column of up to kSampleRuns * kRunValues values is its own sample.
+constexpr size_t kSampleRuns = 8;
+constexpr size_t kRunValues = 1024;
+
+/// Runs of values spread evenly over the column.
+std::vector<std::byte> Sample(std::span<const std::byte> values, size_t width) {
+  const size_t count = values.size() / width;
+  if (count <= kSampleRuns * kRunValues) {
+    return {values.begin(), values.end()};
+  }
+  std::vector<std::byte> sample;
+  sample.reserve(kSampleRuns * kRunValues * width);
+  for (size_t run = 0; run < kSampleRuns; ++run) {
+    const size_t first = run * (count - kRunValues) / (kSampleRuns - 1);
+    const auto bytes = values.subspan(first * width, kRunValues * width);
+    sample.insert(sample.end(), bytes.begin(), bytes.end());
+  }
+  return sample;
+}
+
+/// The transform that makes a sample of the values smallest.
+Transform ChooseTransform(std::span<const std::byte> values, size_t width,
+                          Compression compression) {
+  const std::vector<std::byte> sample = Sample(values, width);
+  Transform best = Transform::kPlain;
+  size_t best_size = std::numeric_limits<size_t>::max();
+  for (const Transform transform :
+       {Transform::kPlain, Transform::kShuffle, Transform::kDeltaShuffle,
+        Transform::kDeltaPacked, Transform::kAscendingPacked}) {
+    if (transform == Transform::kShuffle && width == 1) continue;
+    std::vector<std::byte> coded;
+    AppendTransformed(transform, sample, width, coded);
+    const std::vector<std::byte> compressed = Compress(compression, coded);
+    const size_t size = compressed.empty() ? coded.size() : compressed.size();
+    if (size < best_size) {
+      best_size = size;
+      best = transform;
+    }
+  }
+  return best;
+}
+
+void AppendMissingBitmap(std::span<const uint8_t> missing,
+                         std::vector<std::byte>& coded) {
+  const size_t at = coded.size();
+  coded.resize(at + MissingBitmapBytes(missing.size()));
+  for (size_t i = 0; i < missing.size(); ++i) {
+    const int bit = missing[i] != 0 ? 1 : 0;
+    coded[at + i / 8] |= static_cast<std::byte>(bit << (i % 8));
+  }
+}
+
+/// `missing`: one byte a value, or empty if none is.
+EncodedColumn EncodeColumn(ColumnSpec spec, std::span<const std::byte> values,
+                           std::span<const uint8_t> missing,
+                           Transform transform, Compression compression) {
+  EncodedColumn column;
+  column.entry.spec = std::move(spec);
+  column.entry.transform = transform;
+  column.entry.has_missing = !missing.empty();
+  std::vector<std::byte> coded;
+  AppendMissingBitmap(missing, coded);
+  AppendTransformed(transform, values, ScalarSize(column.entry.spec.type),
+                    coded);
+  column.entry.coded_bytes = static_cast<uint32_t>(coded.size());
+  column.stored = Compress(compression, coded);
+  if (column.stored.empty()) {
+    column.stored = std::move(coded);
+  } else {
+    column.entry.compression = compression;
+  }
+  column.entry.stored_bytes = static_cast<uint32_t>(column.stored.size());
+  column.entry.checksum = Hash64(column.stored);
+  return column;
+}
+
+/// kPlain where nothing is compressed, else the best transform.
+EncodedColumn EncodeColumn(ColumnSpec spec, std::span<const std::byte> values,
+                           std::span<const uint8_t> missing,
+                           Compression compression) {
+  const Transform transform =
+      compression == Compression::kNone
+          ? Transform::kPlain
+          : ChooseTransform(values, ScalarSize(spec.type), compression);
+  return EncodeColumn(std::move(spec), values, missing, transform, compression);
+}
+
+/// Corner of the Morton codes: on a coarse grid of cells, so that codes sort as
+/// MortonLess does.
+LatticePoint MortonCorner(const LatticePoint& min) {
+  constexpr int kGridBits = kMortonAxisBits - 1;
+  const CellKey cell = CellKey::Of(min, kGridBits);
+  return cell.corner();
+}
+
+/// The Morton codes of positions relative to `corner`; nothing if they do not
+/// fit, or if the positions are not by and large in Morton order.
+std::optional<std::vector<uint64_t>> MortonCodes(
+    std::span<const LatticePoint> positions, const LatticePoint& max,
+    const LatticePoint& corner) {
+  constexpr int64_t kEdge = int64_t{1} << kMortonAxisBits;
+  if (max.x - corner.x >= kEdge || max.y - corner.y >= kEdge ||
+      max.z - corner.z >= kEdge) {
+    return std::nullopt;
+  }
+  std::vector<uint64_t> codes(positions.size());
+  for (size_t i = 0; i < codes.size(); ++i) {
+    codes[i] = MortonCode(static_cast<uint64_t>(positions[i].x - corner.x),
+                          static_cast<uint64_t>(positions[i].y - corner.y),
+                          static_cast<uint64_t>(positions[i].z - corner.z));
+  }
+  size_t descents = 0;
+  for (size_t i = 1; i < codes.size(); ++i) {
+    descents += codes[i] < codes[i - 1] ? 1 : 0;
+  }
+  // A step down costs some 40 bits more than a step up.
+  constexpr size_t kMaxDescentShare = 64;
+  if (descents > codes.size() / kMaxDescentShare) return std::nullopt;
+  return codes;
+}
+
+template <typename T>
+void EncodeAxes(std::span<const LatticePoint> positions,
+                const LatticePoint& corner, Compression compression,
+                std::vector<EncodedColumn>& columns) {
+  std::vector<T> offsets(positions.size());
+  for (size_t axis = 0; axis < 3; ++axis) {
+    const auto coordinate = kAxes[axis];
+    for (size_t i = 0; i < offsets.size(); ++i) {
+      offsets[i] =
+          static_cast<T>(positions[i].*coordinate - corner.*coordinate);
+    }
+    columns.push_back(
+        EncodeColumn({std::string(kAxisNames[axis]), ScalarTypeOf<T>()},
+                     AsBytes(offsets), {}, compression));
+  }
+}
+
+/// Adds the position columns and sets the head's bounds and corner.
+void EncodePositions(std::span<const LatticePoint> positions,
+                     Compression compression, BlockHead& head,
+                     std::vector<EncodedColumn>& columns) {
+  const auto [min, max] = BoundsOf(positions);
+  head.min = min;
+  head.max = max;
+  if (compression != Compression::kNone && !positions.empty()) {
+    head.corner = MortonCorner(min);
+    if (const auto codes = MortonCodes(positions, max, head.corner)) {
+      columns.push_back(EncodeColumn(
+          {std::string(kMortonName), ScalarType::kUint64}, AsBytes(*codes), {},
+          Transform::kAscendingPacked, compression));
+      return;
+    }
+  }
+  head.corner = min;
+  const int64_t widest =
+      std::max({max.x - min.x, max.y - min.y, max.z - min.z});
+  if (widest <= std::numeric_limits<int32_t>::max()) {
+    EncodeAxes<int32_t>(positions, min, compression, columns);
+  } else {
+    EncodeAxes<int64_t>(positions, min, compression, columns);
+  }
+}
+
+absl::Status CheckEncodable(const LatticeCloud& cloud) {
+  const size_t count = cloud.size();
+  if (count > static_cast<size_t>(kMaxBlockPoints)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("a block holds at most ", kMaxBlockPoints,
+                     " points, have ", count, "; make several blocks"));
+  }
+  const int64_t step_nm = cloud.lattice.step_nm();
+  if (step_nm < 1 || step_nm > kMaxStepNm) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "the step must be 1 to ", kMaxStepNm, " nm, have ", step_nm));
+  }
+  const std::vector<Column>& columns = cloud.attributes.columns();
+  if (columns.size() > kMaxBlockColumns - 3) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("a block holds at most ", kMaxBlockColumns - 3,
+                     " attributes, have ", columns.size()));
+  }
+  std::set<std::string_view> names;
+  size_t with_missing = 0;
+  for (const Column& column : columns) {
+    const std::string& name = column.name();
+    if (name.empty() || name.size() > kMaxColumnNameBytes) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "the name of an attribute has 1 to ", kMaxColumnNameBytes, " bytes, ",
+          QuotedName(name), " has ", name.size()));
+    }
+    if (!names.insert(name).second) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("two attributes are named ", QuotedName(name)));
+    }
+    if (column.size() != count) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("attribute ", QuotedName(name), ": expected ", count,
+                       " values, have ", column.size()));
+    }
+    with_missing += column.has_missing() ? 1 : 0;
+  }
+  const int64_t decoded_bytes =
+      DecodedBytes(count, cloud.attributes.specs(), with_missing);
+  if (decoded_bytes > kMaxDecodedBytes) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("a block holds at most ", kMaxDecodedBytes,
+                     " bytes of decoded points, have ", decoded_bytes,
+                     "; make several blocks"));
+  }
+  const auto [min, max] = BoundsOf(cloud.positions);
+  for (const int64_t q : {min.x, min.y, min.z, max.x, max.y, max.z}) {
+    if (q <= -kLatticeLimit || q >= kLatticeLimit) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("coordinate ", q, " is outside the lattice of +-",
+                       kLatticeLimit, " steps"));
+    }
+  }
+  return absl::OkStatus();
+}
+
+// Decoding.
+
+/// Memory that is not set before it is filled.
+class Buffer {
+ public:
+  explicit Buffer(size_t size)
+      : data_(std::make_unique_for_overwrite<std::byte[]>(size)), size_(size) {}
+  std::span<std::byte> span() { return {data_.get(), size_}; }
+
+ private:
+  std::unique_ptr<std::byte[]> data_;
+  size_t size_;
+};
+
+/// Marks the rows of `column` that `bitmap` names.
+absl::Status DecodeMissing(std::span<const std::byte> bitmap, Column& column) {
+  const size_t count = column.size();
+  if (count % 8 != 0 &&
+      (static_cast<unsigned>(bitmap.back()) >> (count % 8)) != 0) {
+    return absl::DataLossError(
+        "bitmap of missing values: bits beyond the last point");
+  }
+  for (size_t i = 0; i < count; ++i) {
+    const auto bits = static_cast<unsigned>(bitmap[i / 8]) >> (i % 8);
+    if ((bits & 1) != 0) column.SetMissing(i);
+  }
+  return absl::OkStatus();
+}
+
+/// Decodes a column into `values`; its bitmap, if it has one, into `column`,
+/// whose values these are then.
+absl::Status DecodeColumnValues(const ColumnEntry& entry,
+                                std::span<const std::byte> stored,
+                                std::span<std::byte> values, Column* column) {
+  if (Hash64(stored) != entry.checksum) {
+    return absl::DataLossError(
+        absl::StrCat("checksum: expected ", absl::Hex(entry.checksum),
+                     ", have ", absl::Hex(Hash64(stored))));
+  }
+  std::span<const std::byte> coded = stored;
+  std::optional<Buffer> decompressed;
+  if (entry.compression != Compression::kNone) {
+    decompressed.emplace(entry.coded_bytes);
+    coded = decompressed->span();
+    MAPSIEVE_RETURN_IF_ERROR(
+        Decompress(entry.compression, stored, decompressed->span()));
+  }
+  const size_t width = ScalarSize(entry.spec.type);
+  std::span<const std::byte> bitmap;
+  if (entry.has_missing) {
+    bitmap = coded.first(MissingBitmapBytes(values.size() / width));
+    coded = coded.subspan(bitmap.size());
+  }
+  MAPSIEVE_RETURN_IF_ERROR(
+      InvertTransform(entry.transform, coded, width, values));
+  if (!entry.has_missing) return absl::OkStatus();
+  return DecodeMissing(bitmap, *column);
+}
+
+/// DecodeColumnValues, with errors that say where.
+absl::Status DecodeColumn(const ColumnEntry& entry,
+                          std::span<const std::byte> block, size_t offset,
+                          std::span<std::byte> values, Column* column) {
+  const absl::Status status = DecodeColumnValues(
+      entry, block.subspan(offset, entry.stored_bytes), values, column);
+  if (status.ok()) return status;
+  return Annotate(
+      status,
+      absl::StrCat("point block, column ", QuotedName(entry.spec.name), " of ",
+                   entry.stored_bytes, " bytes at offset ", offset));
+}
+
+absl::Status DecodeMorton(const BlockHead& head,
+                          std::span<const std::byte> block,
+                          std::vector<LatticePoint>& positions) {
+  Buffer codes(size_t{head.point_count} * sizeof(uint64_t));
+  MAPSIEVE_RETURN_IF_ERROR(DecodeColumn(head.columns[0], block, head.head_bytes,
+                                        codes.span(), nullptr));
+  positions.resize(head.point_count);
+  uint64_t all_bits = 0;
+  for (size_t i = 0; i < positions.size(); ++i) {
+    const auto code =
+        LoadLittleEndian<uint64_t>(codes.span().data() + i * sizeof(uint64_t));
+    all_bits |= code;
+    positions[i] = {
+        head.corner.x + static_cast<int64_t>(GatherBits3(code)),
+        head.corner.y + static_cast<int64_t>(GatherBits3(code >> 1)),
+        head.corner.z + static_cast<int64_t>(GatherBits3(code >> 2))};
+  }
+  if (all_bits >> (3 * kMortonAxisBits) != 0) {
+    return absl::DataLossError(
+        "point block, column \"morton\": expected codes of at most 63 bits");
+  }
+  return absl::OkStatus();
+}
+
+template <typename T>
+absl::Status DecodeAxes(const BlockHead& head, std::span<const std::byte> block,
+                        std::vector<LatticePoint>& positions) {
+  Buffer offsets(size_t{head.point_count} * sizeof(T));
+  positions.resize(head.point_count);
+  size_t at = head.head_bytes;
+  for (size_t axis = 0; axis < 3; ++axis) {
+    MAPSIEVE_RETURN_IF_ERROR(
+        DecodeColumn(head.columns[axis], block, at, offsets.span(), nullptr));
+    at += head.columns[axis].stored_bytes;
+    const auto coordinate = kAxes[axis];
+    const int64_t corner = head.corner.*coordinate;
+    for (size_t i = 0; i < positions.size(); ++i) {
+      const auto offset =
+          LoadLittleEndian<T>(offsets.span().data() + i * sizeof(T));
+      positions[i].*coordinate = Plus(corner, offset);
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status DecodePositions(const BlockHead& head,
+                             std::span<const std::byte> block,
+                             std::vector<LatticePoint>& positions) {
+  if (head.position_column_count() == 1) {
+    MAPSIEVE_RETURN_IF_ERROR(DecodeMorton(head, block, positions));
+  } else if (head.columns[0].spec.type == ScalarType::kInt32) {
+    MAPSIEVE_RETURN_IF_ERROR(DecodeAxes<int32_t>(head, block, positions));
+  } else {
+    MAPSIEVE_RETURN_IF_ERROR(DecodeAxes<int64_t>(head, block, positions));
+  }
+  const auto [min, max] = BoundsOf(positions);
+  if (min == head.min && max == head.max) return absl::OkStatus();
+  const auto text = [](const LatticePoint& q) {
+    return absl::StrCat("(", q.x, ", ", q.y, ", ", q.z, ")");
+  };
+  return absl::DataLossError(
+      absl::StrCat("point block: expected points from ", text(head.min), " to ",
+                   text(head.max), ", have ", text(min), " to ", text(max)));
+}
+
+}  // namespace
+
+absl::StatusOr<std::vector<std::byte>> EncodePoints(
+    const LatticeCloud& cloud, const EncodeOptions& options) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckEncodable(cloud));
+  BlockHead head;
+  head.step_nm = cloud.lattice.step_nm();
+  head.point_count = static_cast<uint32_t>(cloud.size());
+  std::vector<EncodedColumn> columns;
+  EncodePositions(cloud.positions, options.compression, head, columns);
+  for (const Column& column : cloud.attributes.columns()) {
+    columns.push_back(EncodeColumn(column.spec(), column.bytes(),
+                                   column.missing(), options.compression));
+  }
+  size_t stored_bytes = 0;
+  for (const EncodedColumn& column : columns) {
+    head.columns.push_back(column.entry);
+    stored_bytes += column.stored.size();
+  }
+  std::vector<std::byte> block = FormatBlockHead(head);
+  block.reserve(block.size() + stored_bytes);
+  for (const EncodedColumn& column : columns) {
+    block.insert(block.end(), column.stored.begin(), column.stored.end());
+  }
+  return block;
+}
+
+absl::StatusOr<BlockHeader> ReadBlockHeader(std::span<const std::byte> bytes) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const BlockHead head, ReadBlockHead(bytes));
+  BlockHeader header;
+  header.step_nm = head.step_nm;
+  header.point_count = head.point_count;
+  header.block_bytes = static_cast<int64_t>(head.block_bytes);
+  header.min = head.min;
+  header.max = head.max;
+  size_t with_missing = 0;
+  for (const ColumnEntry& entry : head.attributes()) {
+    header.columns.push_back(entry.spec);
+    with_missing += entry.has_missing ? 1 : 0;
+  }
+  header.decoded_bytes =
+      DecodedBytes(head.point_count, header.columns, with_missing);
+  return header;
+}
+
+absl::StatusOr<LatticeCloud> DecodePoints(std::span<const std::byte> bytes,
+                                          const DecodeOptions& options) {
+  if (bytes.size() < kBlockPrefixBytes) {
+    return absl::DataLossError(absl::StrCat("point block: expected at least ",
+                                            kBlockPrefixBytes, " bytes, have ",
+                                            bytes.size()));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t block_bytes, ReadBlockLength(bytes));
+  if (static_cast<uint64_t>(block_bytes) != bytes.size()) {
+    return absl::DataLossError(absl::StrCat(
+        "point block: expected ", block_bytes, " bytes, have ", bytes.size()));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const BlockHead head, ReadBlockHead(bytes));
+
+  const auto wanted = [&](const ColumnEntry& entry) {
+    return !options.attributes.has_value() ||
+           std::find(options.attributes->begin(), options.attributes->end(),
+                     entry.spec.name) != options.attributes->end();
+  };
+  std::vector<ColumnSpec> specs;
+  size_t with_missing = 0;
+  for (const ColumnEntry& entry : head.attributes()) {
+    if (!wanted(entry)) continue;
+    specs.push_back(entry.spec);
+    with_missing += entry.has_missing ? 1 : 0;
+  }
+  const int64_t decoded_bytes =
+      DecodedBytes(head.point_count, specs, with_missing);
+  if (decoded_bytes > options.max_decoded_bytes) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "point block of ", head.point_count, " points: needs ", decoded_bytes,
+        " bytes decoded, the limit is ", options.max_decoded_bytes,
+        "; make smaller blocks or ask for fewer attributes"));
+  }
+
+  LatticeCloud cloud;
+  cloud.lattice = Lattice(head.step_nm);
+  MAPSIEVE_RETURN_IF_ERROR(DecodePositions(head, bytes, cloud.positions));
+  size_t offset = head.head_bytes;
+  for (size_t i = 0; i < head.columns.size(); ++i) {
+    const ColumnEntry& entry = head.columns[i];
+    if (i >= head.position_column_count() && wanted(entry)) {
+      Column column(entry.spec, head.point_count);
+      MAPSIEVE_RETURN_IF_ERROR(
+          DecodeColumn(entry, bytes, offset, column.mutable_bytes(), &column));
+      MAPSIEVE_RETURN_IF_ERROR(cloud.attributes.Add(std::move(column)));
+    }
+    offset += entry.stored_bytes;
+  }
+  return cloud;
+}
+
+}  // namespace mapsieve::core
