@@ -9,13 +9,17 @@
 
 namespace mapsieve::storage {
 
-/// Opens the catalogue in the SQLite database `path`, which is made if absent;
-/// FORMAT.md describes its tables. The caller sees to it that one process at a
-/// time has it open, and syncs the directory after the file was made.
-/// kDataLoss: damaged, or no SQLite database; kFailedPrecondition: a database
-/// of another program or of a newer version of this one.
+/// What to do where there is no catalogue, or an empty one.
+enum class IfAbsent { kCreate, kFail };
+
+/// Opens the catalogue in the SQLite database `path`; FORMAT.md describes its
+/// tables. The caller sees to it that one process at a time has it open, and
+/// syncs the directory after the file was made.
+/// kDataLoss: damaged, no SQLite database, or absent and `if_absent` is kFail;
+/// kFailedPrecondition: a database of another program or of a newer version of
+/// this one.
 absl::StatusOr<std::unique_ptr<Catalogue>> OpenSqliteCatalogue(
-    const std::string& path);
+    const std::string& path, IfAbsent if_absent);
 
 }  // namespace mapsieve::storage
 

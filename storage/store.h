@@ -152,11 +152,12 @@ class Store {
   Store(FileSystem& file_system, std::string directory,
         const StoreOptions& options);
   absl::Status OpenParts();
-  absl::Status CheckDirectory();
+  absl::StatusOr<bool> HoldsBlobs();
   void Unpin(const std::string& map_uid);
   void Protect(const BlobId& id);
   void Unprotect(std::span<const BlobId> ids);
   absl::Status PurgeDeletedMaps(GarbageReport& report);
+  bool BeginPurge(const std::string& map_uid);
   absl::Status DeleteUnreferencedBlobs(const std::stop_token& stop,
                                        GarbageReport& report);
   absl::Status DeleteBlobIfUnused(const BlobId& id, GarbageReport& report);
@@ -177,6 +178,8 @@ class Store {
   Mutex pin_mutex_;
   // Snapshots of each map, by uid.
   std::map<std::string, int64_t> pins_ ABSL_GUARDED_BY(pin_mutex_);
+  // The map that is being purged: it cannot be pinned any more.
+  std::string purging_ ABSL_GUARDED_BY(pin_mutex_);
   Mutex protection_mutex_;
   // Blobs of living BlobWriters, and how often they were put.
   std::map<BlobId, int64_t> protected_ ABSL_GUARDED_BY(protection_mutex_);

@@ -122,7 +122,7 @@ class UploadStore {
               Catalogue& catalogue, const SpaceReserve& reserve);
   std::string PathOf(const std::string& upload_uid) const;
   absl::StatusOr<std::unique_ptr<UploadWriter>> OpenFile(
-      const UploadRecord& record);
+      const std::string& upload_uid);
   void ReleaseWriter(const std::string& upload_uid);
 
   FileSystem& file_system_;

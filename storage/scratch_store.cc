@@ -1,0 +1,88 @@
+#include "storage/scratch_store.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/base/status.h"
+#include "storage/names.h"
+
+namespace mapsieve::storage {
+namespace {
+
+constexpr size_t kMaxNameBytes = 120;
+constexpr int64_t kMaxBytes = int64_t{1} << 32;
+
+absl::Status CheckName(const std::string& name) {
+  if (!name.empty() && name.size() <= kMaxNameBytes &&
+      std::all_of(name.begin(), name.end(), [](char c) {
+        return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '-';
+      })) {
+    return absl::OkStatus();
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat("scratch name ", Quoted(name), ": expected 1 to ",
+                   kMaxNameBytes, " of a-z, 0-9 and -"));
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Scratch>> Scratch::Create(
+    FileSystem& file_system, std::string directory,
+    const SpaceReserve& reserve) {
+  MAPSIEVE_RETURN_IF_ERROR(file_system.RemoveTree(directory));
+  MAPSIEVE_RETURN_IF_ERROR(file_system.MakeDirectories(directory));
+  return std::unique_ptr<Scratch>(
+      new Scratch(file_system, std::move(directory), reserve));
+}
+
+Scratch::Scratch(FileSystem& file_system, std::string directory,
+                 const SpaceReserve& reserve)
+    : file_system_(file_system),
+      directory_(std::move(directory)),
+      reserve_(reserve) {}
+
+Scratch::~Scratch() {
+  // What stays is removed when the store is opened again.
+  file_system_.RemoveTree(directory_).IgnoreError();
+}
+
+absl::Status Scratch::Write(const std::string& name,
+                            std::span<const std::byte> bytes) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckName(name));
+  const auto size = static_cast<int64_t>(bytes.size());
+  if (size > kMaxBytes) {
+    return absl::InvalidArgumentError(absl::StrCat("scratch ", name, " of ",
+                                                   size, " bytes: at most ",
+                                                   kMaxBytes, " are kept"));
+  }
+  MAPSIEVE_RETURN_IF_ERROR(reserve_.Check(size));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const auto file,
+      file_system_.Open(JoinPath(directory_, name), OpenMode::kCreateIfAbsent));
+  MAPSIEVE_RETURN_IF_ERROR(file->WriteAt(0, bytes));
+  return file->Truncate(size);
+}
+
+absl::StatusOr<std::vector<std::byte>> Scratch::Read(
+    const std::string& name) const {
+  MAPSIEVE_RETURN_IF_ERROR(CheckName(name));
+  const std::string path = JoinPath(directory_, name);
+  MAPSIEVE_ASSIGN_OR_RETURN(const auto file,
+                            file_system_.Open(path, OpenMode::kRead));
+  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size, file->Size());
+  if (size > kMaxBytes) {
+    return absl::DataLossError(absl::StrCat(path, ": expected at most ",
+                                            kMaxBytes,
+                                            " bytes, the file holds ", size));
+  }
+  return ReadExactly(*file, path, 0, size);
+}
+
+absl::Status Scratch::Remove(const std::string& name) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckName(name));
+  const absl::Status status = file_system_.Remove(JoinPath(directory_, name));
+  return absl::IsNotFound(status) ? absl::OkStatus() : status;
+}
+
+}  // namespace mapsieve::storage

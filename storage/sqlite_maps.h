@@ -1,0 +1,61 @@
+#ifndef MAPSIEVE_STORAGE_SQLITE_MAPS_H_
+#define MAPSIEVE_STORAGE_SQLITE_MAPS_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "storage/catalogue.h"
+#include "storage/sqlite_database.h"
+
+/// The tables maps and revisions. Each function runs inside a transaction of
+/// its caller and has the contract of the Catalogue function of its name.
+namespace mapsieve::storage {
+
+template <>
+inline constexpr int64_t kLargestEnumerator<RevisionKind> =
+    static_cast<int64_t>(RevisionKind::kRollback);
+
+struct MapRow {
+  int64_t key = 0;
+  bool deleted = false;
+  MapRecord record;
+};
+
+/// The map of that uid, deleted or not. kNotFound.
+absl::StatusOr<MapRow> ReadMap(SqliteDatabase& database,
+                               const std::string& map_uid);
+/// The same, and kNotFound if it is deleted.
+absl::StatusOr<MapRow> ReadLivingMap(SqliteDatabase& database,
+                                     const std::string& map_uid);
+
+absl::StatusOr<MapRecord> CreateMap(SqliteDatabase& database,
+                                    const MapSpec& spec);
+absl::StatusOr<MapRecord> GetMap(SqliteDatabase& database,
+                                 const std::string& id);
+absl::StatusOr<std::vector<MapRecord>> ListMaps(SqliteDatabase& database,
+                                                const std::string& after,
+                                                int64_t max_count);
+absl::Status DeleteMap(SqliteDatabase& database, const std::string& id);
+absl::StatusOr<std::vector<std::string>> ListDeletedMaps(
+    SqliteDatabase& database, const std::string& after, int64_t max_count);
+absl::Status PurgeMap(SqliteDatabase& database, const std::string& map_uid);
+
+/// kOutOfRange if the map has no revision of that number.
+absl::Status CheckRevisionNumber(const MapRow& map, int64_t number);
+absl::StatusOr<RevisionRecord> ReadRevision(SqliteDatabase& database,
+                                            const MapRow& map, int64_t number);
+absl::Status InsertRevision(SqliteDatabase& database, int64_t map_key,
+                            const RevisionRecord& revision);
+/// Makes `revision` the newest of the map.
+absl::Status SetNewestRevision(SqliteDatabase& database, int64_t map_key,
+                               const RevisionRecord& revision);
+absl::StatusOr<std::vector<RevisionRecord>> ListRevisions(
+    SqliteDatabase& database, const std::string& map_uid, int64_t before,
+    int64_t max_count);
+
+}  // namespace mapsieve::storage
+
+#endif  // MAPSIEVE_STORAGE_SQLITE_MAPS_H_

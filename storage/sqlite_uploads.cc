@@ -1,0 +1,233 @@
+#include "storage/sqlite_uploads.h"
+
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "core/base/status.h"
+#include "storage/names.h"
+#include "storage/record_checks.h"
+
+namespace mapsieve::storage {
+namespace {
+
+// In the order of TakeUpload.
+constexpr char kSelectUpload[] =
+    "SELECT uploads.uid, maps.uid, uploads.id, expected_bytes, content_hash, "
+    "state, committed_bytes, uploads.create_time, uploads.update_time, "
+    "revision, report FROM uploads JOIN maps USING (map_key) ";
+
+absl::StatusOr<UploadRecord> TakeUpload(SqliteStatement& row) {
+  UploadRecord upload;
+  row.Take(upload.uid)
+      .Take(upload.map_uid)
+      .Take(upload.spec.id)
+      .Take(upload.spec.expected_bytes)
+      .Take(upload.spec.content_hash)
+      .Take(upload.state)
+      .Take(upload.committed_bytes);
+  row.Check(upload.committed_bytes >= 0, "is negative");
+  row.Take(upload.create_time)
+      .Take(upload.update_time)
+      .Take(upload.revision)
+      .TakeBlob(upload.report);
+  MAPSIEVE_RETURN_IF_ERROR(row.status());
+  return upload;
+}
+
+const char* StateName(UploadState state) {
+  switch (state) {
+    case UploadState::kActive:
+      return "active";
+    case UploadState::kFinalizing:
+      return "finalizing";
+    case UploadState::kFinalized:
+      return "finalized";
+    case UploadState::kFailed:
+      return "failed";
+  }
+  return "unknown";
+}
+
+absl::Status CheckState(const UploadRecord& upload, UploadState expected) {
+  if (upload.state == expected) return absl::OkStatus();
+  return absl::FailedPreconditionError(
+      absl::StrCat("upload ", upload.spec.id, ": expected to be ",
+                   StateName(expected), ", it is ", StateName(upload.state)));
+}
+
+absl::Status NoSuchUpload(const std::string& name) {
+  return absl::NotFoundError(
+      absl::StrCat("upload ", Quoted(name), " does not exist"));
+}
+
+absl::Status UpdateState(SqliteDatabase& database, const UploadRecord& upload) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement update,
+      database.Prepare("UPDATE uploads SET state = ?, revision = ?, "
+                       "report = ?, update_time = ? WHERE uid = ?"));
+  return update.Bind(upload.state)
+      .Bind(upload.revision)
+      .BindBlob(upload.report)
+      .Bind(upload.update_time)
+      .Bind(upload.uid)
+      .Run();
+}
+
+}  // namespace
+
+absl::StatusOr<UploadRecord> CreateUpload(SqliteDatabase& database,
+                                          const std::string& map_uid,
+                                          const UploadSpec& spec) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckUploadSpec(spec));
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map, ReadLivingMap(database, map_uid));
+  auto existing = GetUpload(database, map_uid, spec.id);
+  if (existing.ok()) {
+    if (existing->spec == spec) return existing;
+    return absl::AlreadyExistsError(
+        absl::StrCat("upload ", spec.id, " of map ", map.record.spec.id,
+                     " exists already, with another size or content hash"));
+  }
+  if (!absl::IsNotFound(existing.status())) return existing;
+
+  const absl::Time now = absl::Now();
+  {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        SqliteStatement insert,
+        database.Prepare(
+            "INSERT INTO uploads (uid, map_key, id, expected_bytes, "
+            "content_hash, state, committed_bytes, create_time, update_time, "
+            "revision, report) VALUES (lower(hex(randomblob(16))), ?, ?, ?, ?, "
+            "?, 0, ?, ?, 0, x'')"));
+    MAPSIEVE_RETURN_IF_ERROR(insert.Bind(map.key)
+                                 .Bind(spec.id)
+                                 .Bind(spec.expected_bytes)
+                                 .Bind(spec.content_hash)
+                                 .Bind(UploadState::kActive)
+                                 .Bind(now)
+                                 .Bind(now)
+                                 .Run());
+  }
+  return GetUpload(database, map_uid, spec.id);
+}
+
+absl::StatusOr<UploadRecord> GetUpload(SqliteDatabase& database,
+                                       const std::string& map_uid,
+                                       const std::string& id) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckResourceId(id));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement query,
+      database.Prepare(absl::StrCat(kSelectUpload,
+                                    "WHERE maps.uid = ? AND uploads.id = ?")));
+  MAPSIEVE_ASSIGN_OR_RETURN(const bool found,
+                            query.Bind(map_uid).Bind(id).Step());
+  if (!found) return NoSuchUpload(id);
+  return TakeUpload(query);
+}
+
+absl::StatusOr<UploadRecord> GetUploadByUid(SqliteDatabase& database,
+                                            const std::string& upload_uid) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement query,
+      database.Prepare(absl::StrCat(kSelectUpload, "WHERE uploads.uid = ?")));
+  MAPSIEVE_ASSIGN_OR_RETURN(const bool found, query.Bind(upload_uid).Step());
+  if (!found) return NoSuchUpload(upload_uid);
+  return TakeUpload(query);
+}
+
+absl::StatusOr<std::vector<UploadRecord>> ListUploads(
+    SqliteDatabase& database, const std::string& map_uid,
+    const std::string& after, int64_t max_count) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckPageSize(max_count));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement query,
+      database.Prepare(absl::StrCat(kSelectUpload,
+                                    "WHERE maps.uid = ? AND uploads.id > ? "
+                                    "ORDER BY uploads.id LIMIT ?")));
+  query.Bind(map_uid).Bind(after).Bind(max_count);
+  std::vector<UploadRecord> uploads;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) return uploads;
+    MAPSIEVE_ASSIGN_OR_RETURN(UploadRecord upload, TakeUpload(query));
+    uploads.push_back(std::move(upload));
+  }
+}
+
+absl::Status SetCommittedBytes(SqliteDatabase& database,
+                               const std::string& upload_uid, int64_t bytes) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const UploadRecord upload,
+                            GetUploadByUid(database, upload_uid));
+  MAPSIEVE_RETURN_IF_ERROR(CheckState(upload, UploadState::kActive));
+  if (bytes < upload.committed_bytes) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "upload ", upload.spec.id, ": expected at least the ",
+        upload.committed_bytes, " bytes committed before, got ", bytes));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement update,
+      database.Prepare("UPDATE uploads SET committed_bytes = ?, "
+                       "update_time = ? WHERE uid = ?"));
+  return update.Bind(bytes).Bind(absl::Now()).Bind(upload_uid).Run();
+}
+
+absl::StatusOr<UploadRecord> SetUploadState(SqliteDatabase& database,
+                                            const std::string& upload_uid,
+                                            UploadState from, UploadState to,
+                                            const std::string& report) {
+  if (from == UploadState::kFinalized || to == UploadState::kFinalized) {
+    return absl::InvalidArgumentError(
+        "only the commit of its points makes an upload finalized, for good");
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(UploadRecord upload,
+                            GetUploadByUid(database, upload_uid));
+  MAPSIEVE_RETURN_IF_ERROR(CheckState(upload, from));
+  upload.state = to;
+  upload.report = report;
+  upload.update_time = absl::Now();
+  MAPSIEVE_RETURN_IF_ERROR(UpdateState(database, upload));
+  return GetUploadByUid(database, upload_uid);
+}
+
+absl::Status FinalizeUpload(SqliteDatabase& database,
+                            const std::string& map_uid,
+                            const std::string& upload_uid,
+                            const RevisionRecord& revision,
+                            const std::string& report) {
+  MAPSIEVE_ASSIGN_OR_RETURN(UploadRecord upload,
+                            GetUploadByUid(database, upload_uid));
+  if (upload.map_uid != map_uid) return NoSuchUpload(upload_uid);
+  MAPSIEVE_RETURN_IF_ERROR(CheckState(upload, UploadState::kFinalizing));
+  upload.state = UploadState::kFinalized;
+  upload.revision = revision.number;
+  upload.report = report;
+  upload.update_time = revision.create_time;
+  return UpdateState(database, upload);
+}
+
+absl::Status DeleteUpload(SqliteDatabase& database,
+                          const std::string& upload_uid) {
+  {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        SqliteStatement remove,
+        database.Prepare("DELETE FROM uploads WHERE uid = ?"));
+    MAPSIEVE_RETURN_IF_ERROR(remove.Bind(upload_uid).Run());
+  }
+  if (database.changed_row_count() == 0) return NoSuchUpload(upload_uid);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<int64_t> DeleteIdleUploads(SqliteDatabase& database,
+                                          absl::Time idle_since) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement remove,
+      database.Prepare(
+          "DELETE FROM uploads WHERE state IN (?, ?) AND update_time < ?"));
+  MAPSIEVE_RETURN_IF_ERROR(remove.Bind(UploadState::kActive)
+                               .Bind(UploadState::kFailed)
+                               .Bind(idle_since)
+                               .Run());
+  return database.changed_row_count();
+}
+
+}  // namespace mapsieve::storage

@@ -1,0 +1,313 @@
+#include "storage/store.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/base/hash.h"
+#include "core/base/status.h"
+#include "storage/local_blob_store.h"
+#include "storage/names.h"
+#include "storage/sqlite_catalogue.h"
+
+namespace mapsieve::storage {
+namespace {
+
+constexpr char kLockFile[] = "lock";
+constexpr char kCatalogueFile[] = "catalogue.db";
+constexpr char kBlobDirectory[] = "blobs";
+constexpr char kUploadDirectory[] = "uploads";
+constexpr char kScratchDirectory[] = "scratch";
+// The root of an ext file system has it.
+constexpr char kLostAndFound[] = "lost+found";
+
+constexpr int64_t kMaxReserveBytes = int64_t{1} << 50;
+constexpr int64_t kCollectionPage = 1000;
+
+absl::Status CheckIsDataDirectory(FileSystem& file_system,
+                                  const std::string& directory) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::string> names,
+                            file_system.List(directory));
+  if (std::find(names.begin(), names.end(), kCatalogueFile) != names.end()) {
+    return absl::OkStatus();
+  }
+  for (const std::string& name : names) {
+    if (name != kLockFile && name != kBlobDirectory &&
+        name != kUploadDirectory && name != kScratchDirectory &&
+        name != kLostAndFound) {
+      return absl::FailedPreconditionError(absl::StrCat(
+          directory, ": holds ", Quoted(name), " and no ", kCatalogueFile,
+          ", so it is no data directory; name an empty or a new one"));
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::Status StoreOptions::Validate() const {
+  if (reserve_bytes < 0 || reserve_bytes > kMaxReserveBytes) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "reserve_bytes ", reserve_bytes, ": expected 0 to ", kMaxReserveBytes));
+  }
+  if (upload_lifetime <= absl::ZeroDuration()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("upload_lifetime ", absl::FormatDuration(upload_lifetime),
+                     ": expected more than 0"));
+  }
+  return absl::OkStatus();
+}
+
+ReadSnapshot::ReadSnapshot(Store& store, MapRecord map)
+    : store_(store), map_(std::move(map)) {}
+
+ReadSnapshot::~ReadSnapshot() { store_.Unpin(map_.uid); }
+
+absl::StatusOr<std::vector<ChunkRef>> ReadSnapshot::ListChunks(
+    ChunkKind kind, const std::optional<core::LatticeBox>& region,
+    const std::optional<ChunkPosition>& after, int64_t max_count) const {
+  return store_.catalogue_->ListChunks(map_.uid, revision_.number, kind, region,
+                                       after, max_count);
+}
+
+absl::StatusOr<std::vector<ChunkRef>> ReadSnapshot::ListTileChunks(
+    ChunkKind kind, const core::CellKey& tile) const {
+  return store_.catalogue_->ListTileChunks(map_.uid, revision_.number, kind,
+                                           tile);
+}
+
+absl::StatusOr<std::vector<TileSummary>> ReadSnapshot::ListTiles(
+    ChunkKind kind, const std::optional<core::LatticeBox>& region,
+    const std::optional<core::CellKey>& after, int64_t max_count) const {
+  return store_.catalogue_->ListTiles(map_.uid, revision_.number, kind, region,
+                                      after, max_count);
+}
+
+absl::StatusOr<std::vector<std::byte>> ReadSnapshot::ReadChunk(
+    const ChunkRef& chunk) const {
+  const auto context = [&] {
+    return absl::StrCat("map ", map_.spec.id, ", revision ", revision_.number,
+                        ", tile ", chunk.tile.ToString());
+  };
+  const auto size = store_.blobs_->Size(chunk.blob_id);
+  if (absl::IsNotFound(size.status())) {
+    return absl::DataLossError(absl::StrCat(context(), ": blob ", chunk.blob_id,
+                                            " of ", chunk.stored_bytes,
+                                            " bytes is missing"));
+  }
+  if (!size.ok()) return Annotate(size.status(), context());
+  if (*size != chunk.stored_bytes) {
+    return absl::DataLossError(absl::StrCat(context(), ": blob ", chunk.blob_id,
+                                            ": expected ", chunk.stored_bytes,
+                                            " bytes, it has ", *size));
+  }
+  auto bytes = store_.blobs_->Get(chunk.blob_id);
+  if (!bytes.ok()) return Annotate(bytes.status(), context());
+  return bytes;
+}
+
+BlobWriter::~BlobWriter() {
+  MutexLock lock(mutex_);
+  store_.Unprotect(protected_);
+}
+
+absl::StatusOr<BlobId> BlobWriter::Put(std::span<const std::byte> bytes) {
+  // Protected before anyone looks whether it is there: a collection cannot
+  // remove it in between.
+  const BlobId id = ContentHash(bytes);
+  {
+    MutexLock lock(mutex_);
+    store_.Protect(id);
+    protected_.push_back(id);
+  }
+  return store_.blobs_->PutIfAbsent(bytes);
+}
+
+Store::Store(FileSystem& file_system, std::string directory,
+             const StoreOptions& options)
+    : file_system_(file_system),
+      directory_(std::move(directory)),
+      options_(options),
+      reserve_(file_system, directory_, options.reserve_bytes) {}
+
+Store::~Store() = default;
+
+absl::StatusOr<std::unique_ptr<Store>> Store::Open(
+    FileSystem& file_system, const std::string& directory,
+    const StoreOptions& options) {
+  MAPSIEVE_RETURN_IF_ERROR(options.Validate());
+  std::unique_ptr<Store> store(new Store(file_system, directory, options));
+  MAPSIEVE_RETURN_IF_ERROR(store->OpenParts());
+  return store;
+}
+
+absl::Status Store::OpenParts() {
+  MAPSIEVE_RETURN_IF_ERROR(file_system_.MakeDirectories(directory_));
+  MAPSIEVE_RETURN_IF_ERROR(CheckIsDataDirectory(file_system_, directory_));
+  auto lock = file_system_.Lock(JoinPath(directory_, kLockFile));
+  if (absl::IsAborted(lock.status())) {
+    return Annotate(lock.status(),
+                    "the data directory is in use; stop that process or name "
+                    "another directory");
+  }
+  MAPSIEVE_RETURN_IF_ERROR(lock.status());
+  lock_ = *std::move(lock);
+
+  MAPSIEVE_RETURN_IF_ERROR(
+      file_system_.RemoveTree(JoinPath(directory_, kScratchDirectory)));
+  // A new catalogue over existing blobs would end in their collection.
+  MAPSIEVE_ASSIGN_OR_RETURN(const bool holds_blobs, HoldsBlobs());
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      catalogue_,
+      OpenSqliteCatalogue(JoinPath(directory_, kCatalogueFile),
+                          holds_blobs ? IfAbsent::kFail : IfAbsent::kCreate));
+  MAPSIEVE_RETURN_IF_ERROR(file_system_.SyncDirectory(directory_));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      blobs_,
+      OpenLocalBlobStore(file_system_, JoinPath(directory_, kBlobDirectory),
+                         reserve_));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      uploads_,
+      UploadStore::Open(file_system_, JoinPath(directory_, kUploadDirectory),
+                        *catalogue_, reserve_));
+  return absl::OkStatus();
+}
+
+absl::StatusOr<bool> Store::HoldsBlobs() {
+  const auto folders = file_system_.List(JoinPath(directory_, kBlobDirectory));
+  if (absl::IsNotFound(folders.status())) return false;
+  MAPSIEVE_RETURN_IF_ERROR(folders.status());
+  // One for unfinished blobs is made when the store is opened first.
+  return folders->size() > 1;
+}
+
+absl::StatusOr<std::shared_ptr<const ReadSnapshot>> Store::OpenSnapshot(
+    const std::string& map_id, int64_t revision) {
+  MAPSIEVE_ASSIGN_OR_RETURN(MapRecord map, catalogue_->GetMap(map_id));
+  // Pinned before the revision is read: whatever is read stays.
+  {
+    MutexLock lock(pin_mutex_);
+    if (map.uid == purging_) {
+      return absl::NotFoundError(absl::StrCat("map ", map_id, " was deleted"));
+    }
+    ++pins_[map.uid];
+  }
+  std::shared_ptr<ReadSnapshot> snapshot(
+      new ReadSnapshot(*this, std::move(map)));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      snapshot->revision_,
+      catalogue_->GetRevision(
+          snapshot->map_.uid,
+          revision == 0 ? snapshot->map_.newest_revision : revision));
+  return snapshot;
+}
+
+void Store::Unpin(const std::string& map_uid) {
+  MutexLock lock(pin_mutex_);
+  const auto pin = pins_.find(map_uid);
+  if (--pin->second == 0) pins_.erase(pin);
+}
+
+std::unique_ptr<BlobWriter> Store::NewBlobWriter() {
+  return std::unique_ptr<BlobWriter>(new BlobWriter(*this));
+}
+
+void Store::Protect(const BlobId& id) {
+  MutexLock lock(protection_mutex_);
+  ++protected_[id];
+}
+
+void Store::Unprotect(std::span<const BlobId> ids) {
+  MutexLock lock(protection_mutex_);
+  for (const BlobId& id : ids) {
+    const auto entry = protected_.find(id);
+    if (--entry->second == 0) protected_.erase(entry);
+  }
+}
+
+absl::StatusOr<std::unique_ptr<Scratch>> Store::NewScratch() {
+  return Scratch::Create(
+      file_system_,
+      absl::StrCat(directory_, "/", kScratchDirectory, "/", scratch_count_++),
+      reserve_);
+}
+
+absl::StatusOr<GarbageReport> Store::CollectGarbage(std::stop_token stop) {
+  MutexLock lock(collection_mutex_);
+  GarbageReport report;
+  MAPSIEVE_RETURN_IF_ERROR(PurgeDeletedMaps(report));
+  MAPSIEVE_RETURN_IF_ERROR(DeleteUnreferencedBlobs(stop, report));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      report.expired_upload_count,
+      catalogue_->DeleteIdleUploads(absl::Now() - options_.upload_lifetime));
+  MAPSIEVE_ASSIGN_OR_RETURN(report.deleted_upload_file_count,
+                            uploads_->RemoveOrphans());
+  return report;
+}
+
+absl::Status Store::PurgeDeletedMaps(GarbageReport& report) {
+  std::string after;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const auto uids, catalogue_->ListDeletedMaps(after, kCollectionPage));
+    if (uids.empty()) return absl::OkStatus();
+    after = uids.back();
+    for (const std::string& uid : uids) {
+      if (!BeginPurge(uid)) continue;
+      MAPSIEVE_RETURN_IF_ERROR(catalogue_->PurgeMap(uid));
+      ++report.purged_map_count;
+    }
+  }
+}
+
+bool Store::BeginPurge(const std::string& map_uid) {
+  MutexLock lock(pin_mutex_);
+  if (pins_.contains(map_uid)) return false;
+  purging_ = map_uid;
+  return true;
+}
+
+absl::Status Store::DeleteUnreferencedBlobs(const std::stop_token& stop,
+                                            GarbageReport& report) {
+  BlobId after;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto ids,
+                              blobs_->List(after, kCollectionPage));
+    if (ids.empty()) return absl::OkStatus();
+    after = ids.back();
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<bool> referenced,
+                              catalogue_->AreBlobsReferenced(ids));
+    for (size_t i = 0; i < ids.size(); ++i) {
+      if (stop.stop_requested()) {
+        return absl::CancelledError("garbage collection was stopped");
+      }
+      if (referenced[i]) continue;
+      MAPSIEVE_RETURN_IF_ERROR(DeleteBlobIfUnused(ids[i], report));
+    }
+  }
+}
+
+absl::Status Store::DeleteBlobIfUnused(const BlobId& id,
+                                       GarbageReport& report) {
+  // While the lock is held no writer can begin to rely on the blob. One that
+  // did before is either still there, so the blob is protected, or has
+  // committed or given up, so the catalogue knows by now.
+  MutexLock lock(protection_mutex_);
+  if (protected_.contains(id)) return absl::OkStatus();
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<bool> referenced,
+                            catalogue_->AreBlobsReferenced(std::span(&id, 1)));
+  if (referenced[0]) return absl::OkStatus();
+  const auto size = blobs_->Size(id);
+  if (absl::IsNotFound(size.status())) return absl::OkStatus();
+  MAPSIEVE_RETURN_IF_ERROR(size.status());
+  MAPSIEVE_RETURN_IF_ERROR(blobs_->Delete(id));
+  ++report.deleted_blob_count;
+  report.deleted_blob_bytes += *size;
+  return absl::OkStatus();
+}
+
+absl::StatusOr<int64_t> Store::FreeBytes() const {
+  return file_system_.FreeBytes(directory_);
+}
+
+}  // namespace mapsieve::storage
