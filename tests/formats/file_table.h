@@ -1,20 +1,25 @@
 #ifndef MAPSIEVE_TESTS_FORMATS_FILE_TABLE_H_
 #define MAPSIEVE_TESTS_FORMATS_FILE_TABLE_H_
 
+#include <cmath>
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <functional>
+#include <iterator>
+#include <limits>
 #include <map>
 #include <memory>
 #include <string>
 #include <string_view>
+#include <system_error>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "client/formats/point_file.h"
 #include "core/base/status.h"
+#include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/testing/status_matchers.h"
 
@@ -82,6 +87,23 @@ class TemporaryFile {
  private:
   std::filesystem::path path_;
 };
+
+/// Compares the finite coordinates with a box known to eight digits.
+inline void ExpectExtent(const core::PointCloud& cloud, const core::Point3& low,
+                         const core::Point3& high) {
+  constexpr double kRelative = 5.1e-8;
+  for (const auto axis :
+       {&core::Point3::x, &core::Point3::y, &core::Point3::z}) {
+    double least = std::numeric_limits<double>::infinity();
+    double most = -least;
+    for (const core::Point3& p : cloud.positions) {
+      least = std::fmin(least, p.*axis);
+      most = std::fmax(most, p.*axis);
+    }
+    EXPECT_NEAR(least, low.*axis, kRelative * std::abs(least));
+    EXPECT_NEAR(most, high.*axis, kRelative * std::abs(most));
+  }
+}
 
 /// What a file of the test data gives: so many records, or a refusal.
 struct FileCase {
