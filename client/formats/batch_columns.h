@@ -1,6 +1,8 @@
 #ifndef MAPSIEVE_CLIENT_FORMATS_BATCH_COLUMNS_H_
 #define MAPSIEVE_CLIENT_FORMATS_BATCH_COLUMNS_H_
 
+#include <cstddef>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -20,6 +22,11 @@ inline constexpr size_t kMaxAttributes = 1024;
 /// with `file_name`.
 absl::Status CheckAttributes(std::string_view file_name,
                              const std::vector<core::ColumnSpec>& attributes);
+
+/// `text` as UTF-8 on one line: control characters and, unless all of `text` is
+/// UTF-8, bytes that are not ASCII become `substitute`; blanks at both ends go.
+/// Names and other texts of files pass through it.
+std::string CleanText(std::string_view text, char substitute);
 
 /// The columns of `batch` in the order of `attributes`. kInvalidArgument,
 /// beginning with `file_name`, unless the batch has exactly these attributes,

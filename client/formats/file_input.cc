@@ -14,6 +14,7 @@
 #include "core/base/status.h"
 
 namespace mapsieve::client {
+
 absl::StatusOr<std::shared_ptr<const InputFile>> InputFile::Open(
     const std::filesystem::path& path) {
   std::string name = path.string();
@@ -141,7 +142,7 @@ absl::StatusOr<bool> InputCursor::NextLine(std::string_view& line) {
     } else if (remaining() > static_cast<int64_t>(have)) {
       if (have > kMaxTextBytes) break;
       searched = have;
-      MAPSIEVE_RETURN_IF_ERROR(Fill(have + 1));
+      MAPSIEVE_RETURN_IF_ERROR(Fill(have + read_bytes_));
       continue;
     } else if (have == 0) {
       return false;
@@ -179,7 +180,7 @@ absl::StatusOr<bool> InputCursor::NextToken(std::string_view& token) {
     if (at_ + length < end_ || remaining() == static_cast<int64_t>(length)) {
       break;
     }
-    MAPSIEVE_RETURN_IF_ERROR(Fill(length + 1));
+    MAPSIEVE_RETURN_IF_ERROR(Fill(length + read_bytes_));
   }
   token = std::string_view(text() + at_, length);
   at_ += length;

@@ -60,15 +60,22 @@ OutputFile::~OutputFile() {
   if (!temporary_.empty()) ::unlink(temporary_.c_str());
 }
 
+absl::Status OutputFile::Keep(const absl::Status& status) {
+  failure_.Update(status);
+  return failure_;
+}
+
 absl::Status OutputFile::WriteAll(int64_t offset,
                                   std::span<const std::byte> bytes) {
+  MAPSIEVE_RETURN_IF_ERROR(failure_);
   while (!bytes.empty()) {
     const ssize_t done =
         ::pwrite(descriptor_, bytes.data(), bytes.size(), offset);
     if (done < 0) {
       if (errno == EINTR) continue;
-      return absl::ErrnoToStatus(errno, absl::StrCat(name_, ", offset ", offset,
-                                                     ": cannot be written"));
+      return Keep(absl::ErrnoToStatus(
+          errno,
+          absl::StrCat(name_, ", offset ", offset, ": cannot be written")));
     }
     bytes = bytes.subspan(static_cast<size_t>(done));
     offset += done;
@@ -84,6 +91,7 @@ absl::Status OutputFile::Flush() {
 }
 
 absl::Status OutputFile::Append(std::span<const std::byte> bytes) {
+  MAPSIEVE_RETURN_IF_ERROR(failure_);
   if (buffer_.size() + bytes.size() > kBufferBytes) {
     MAPSIEVE_RETURN_IF_ERROR(Flush());
   }
@@ -108,19 +116,15 @@ absl::Status OutputFile::Overwrite(int64_t offset,
 
 absl::Status OutputFile::Finish() {
   MAPSIEVE_RETURN_IF_ERROR(Flush());
+  const auto fail = [&](const char* what) {
+    return Keep(absl::ErrnoToStatus(errno, absl::StrCat(name_, ": ", what)));
+  };
   // A full disk may show only here.
-  if (::fsync(descriptor_) != 0) {
-    return absl::ErrnoToStatus(errno,
-                               absl::StrCat(name_, ": cannot be written"));
-  }
+  if (::fsync(descriptor_) != 0) return fail("cannot be written");
   const int descriptor = std::exchange(descriptor_, -1);
-  if (::close(descriptor) != 0) {
-    return absl::ErrnoToStatus(errno,
-                               absl::StrCat(name_, ": cannot be written"));
-  }
+  if (::close(descriptor) != 0) return fail("cannot be written");
   if (::rename(temporary_.c_str(), name_.c_str()) != 0) {
-    return absl::ErrnoToStatus(errno,
-                               absl::StrCat(name_, ": cannot be replaced"));
+    return fail("cannot be replaced");
   }
   temporary_.clear();
   return absl::OkStatus();

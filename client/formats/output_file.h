@@ -17,7 +17,8 @@ namespace mapsieve::client {
 
 /// A file being written under a temporary name beside its target. Finish gives
 /// it the target's name, replacing what was there; destroyed before that, it
-/// leaves nothing. Buffered. Not thread-safe.
+/// leaves nothing. Once a call failed, every later one returns its error.
+/// Buffered. Not thread-safe.
 class OutputFile {
  public:
   /// kNotFound, kPermissionDenied: the folder; kInvalidArgument: the target is
@@ -48,6 +49,8 @@ class OutputFile {
 
  private:
   OutputFile(std::string name, std::string temporary, int descriptor);
+  // Remembers the first error.
+  absl::Status Keep(const absl::Status& status);
   absl::Status Flush();
   absl::Status WriteAll(int64_t offset, std::span<const std::byte> bytes);
 
@@ -56,6 +59,7 @@ class OutputFile {
   int descriptor_;
   std::vector<std::byte> buffer_;
   int64_t written_ = 0;
+  absl::Status failure_;
 };
 
 }  // namespace mapsieve::client

@@ -25,7 +25,8 @@ struct PointFileInfo {
   std::optional<int64_t> point_count;
   /// Attributes of every batch, in file order; x, y, z are not among them.
   std::vector<core::ColumnSpec> attributes;
-  /// Coordinate reference system as WKT; empty if the file names none.
+  /// Coordinate reference system as WKT, or "EPSG:n" where the file gives only
+  /// a code; empty if it names none.
   std::string crs_wkt;
   /// Smallest coordinate step that the file can hold (LAS scale), in map
   /// units; 0 if it holds floating point.
@@ -46,8 +47,8 @@ class PointReader {
 };
 
 struct ReadOptions {
-  /// Column names of a CSV or XYZ file without a header line; empty: x, y, z,
-  /// then c3, c4, ….
+  /// Column names of a CSV or XYZ file, also in place of its header line;
+  /// empty: those of the file, or x, y, z, then c3, c4, ….
   std::vector<std::string> column_names;
 };
 
@@ -55,7 +56,8 @@ struct ReadOptions {
 /// kNotFound, kPermissionDenied: the file; kUnimplemented: a format that is
 /// known and not read (LAZ, E57, PTS, PTX), with a hint; kInvalidArgument: a
 /// file of a known format without what is needed (no z, x y z in one field);
-/// kDataLoss: a damaged header.
+/// kDataLoss: a damaged header, an empty file. The other functions of this
+/// header return these errors too.
 absl::StatusOr<std::unique_ptr<PointReader>> OpenPointFile(
     const std::filesystem::path& path, const ReadOptions& options = {});
 
@@ -66,8 +68,11 @@ class PointWriter {
   virtual ~PointWriter() = default;
   /// Appends points whose attributes have the specs given at creation, in any
   /// order. Missing values are written as the format's "no value" (NaN, empty
-  /// field) where it has one, else as 0.
+  /// field) where it has one, else as 0. kInvalidArgument: other attributes, or
+  /// a value that the format cannot hold; the batch is not written then.
+  /// kResourceExhausted: the disk is full.
   virtual absl::Status Write(const core::PointCloud& batch) = 0;
+  /// Completes the file and gives it its name. Call it once, last.
   virtual absl::Status Finish() = 0;
 };
 
@@ -75,8 +80,10 @@ struct WriteOptions {
   std::vector<core::ColumnSpec> attributes;
   /// Step of the coordinates in map units: LAS scale, CSV decimals.
   double coordinate_step = 0.001;
-  /// A point near the data: LAS offset, PCD viewpoint-free shift is never made.
+  /// A point near the data, for the offset of LAS; (0, 0, 0): it is taken from
+  /// the first batch. No format shifts the points by it.
   core::Point3 origin;
+  /// As in PointFileInfo; kept by LAS alone.
   std::string crs_wkt;
 };
 
@@ -91,7 +98,8 @@ absl::StatusOr<std::unique_ptr<PointWriter>> CreatePointFile(
 absl::StatusOr<core::PointCloud> ReadPointFile(
     const std::filesystem::path& path, const ReadOptions& options = {});
 
-/// Writes `cloud` as one file.
+/// Writes `cloud` as one file; options.attributes are those of `cloud`,
+/// whatever is given.
 absl::Status WritePointFile(const std::filesystem::path& path,
                             const core::PointCloud& cloud,
                             WriteOptions options = {});

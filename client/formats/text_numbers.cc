@@ -152,6 +152,12 @@ bool ParseScalar(core::ScalarType type, std::string_view text,
   });
 }
 
+std::string NumberText(double value) {
+  std::string text;
+  AppendNumber(text, value);
+  return text;
+}
+
 void AppendScalar(std::string& text, const core::Column& column, size_t row) {
   core::VisitScalarType(column.type(), [&](auto zero) {
     AppendNumber(text, column.Get<decltype(zero)>(row));

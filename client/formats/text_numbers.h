@@ -47,6 +47,9 @@ bool ParseScalar(core::ScalarType type, std::string_view text,
 template <typename T>
 void AppendNumber(std::string& text, T value);
 
+/// The text that AppendNumber appends, for messages.
+std::string NumberText(double value);
+
 /// Appends row `row` of `column` by AppendNumber.
 void AppendScalar(std::string& text, const core::Column& column, size_t row);
 
