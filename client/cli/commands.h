@@ -1,0 +1,108 @@
+#ifndef MAPSIEVE_CLIENT_CLI_COMMANDS_H_
+#define MAPSIEVE_CLIENT_CLI_COMMANDS_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "client/api/map_types.h"
+#include "client/lab/render.h"
+#include "client/lab/simulate.h"
+#include "core/spdf/spdf_options.h"
+
+/// The commands of the program, without their parsing: each takes its options,
+/// does its work and prints its result.
+namespace mapsieve::client {
+
+/// What all commands share.
+struct CommonOptions {
+  std::string server;
+  bool json = false;
+};
+
+// Commands against a server ---------------------------------------------------
+
+struct CreateCommand {
+  std::string map;
+  /// In map units; 0: the server's defaults.
+  double step = 0;
+  double tile_edge = 0;
+};
+absl::Status RunCreate(const CommonOptions& common,
+                       const CreateCommand& command);
+
+struct ProcessCommand {
+  std::string map;
+  ProcessOptions options;
+  bool no_wait = false;
+};
+absl::Status RunProcess(const CommonOptions& common,
+                        const ProcessCommand& command);
+
+struct UploadCommand {
+  std::string map;
+  std::vector<std::string> files;
+  std::vector<std::string> column_names;
+  bool process = false;
+};
+absl::Status RunUpload(const CommonOptions& common,
+                       const UploadCommand& command);
+
+struct QueryCommand {
+  QuerySpec spec;
+  std::string output;
+};
+absl::Status RunQuery(const CommonOptions& common, const QueryCommand& command);
+
+absl::Status RunInfo(const CommonOptions& common, const std::string& map);
+absl::Status RunList(const CommonOptions& common);
+absl::Status RunDelete(const CommonOptions& common, const std::string& map,
+                       bool force);
+
+// Commands without a server ---------------------------------------------------
+
+struct SampleCommand {
+  std::string input;
+  std::string output;
+  /// "spdf", "spatial-spdf" or "random".
+  std::string method = "spdf";
+  core::SpdfOptions options;
+  /// Lattice step in map units.
+  double step = 0.001;
+  /// Required by spatial-spdf and random.
+  int64_t max_points = 0;
+  bool centroids = false;
+  int threads = 1;
+  std::vector<std::string> column_names;
+};
+absl::Status RunSample(const CommonOptions& common,
+                       const SampleCommand& command);
+
+struct ConvertCommand {
+  std::string input;
+  std::string output;
+  std::vector<std::string> column_names;
+};
+absl::Status RunConvert(const CommonOptions& common,
+                        const ConvertCommand& command);
+
+struct RenderCommand {
+  /// FILE or TITLE=FILE, a panel each.
+  std::vector<std::string> inputs;
+  std::string output;
+  RenderOptions options;
+};
+absl::Status RunRender(const CommonOptions& common,
+                       const RenderCommand& command);
+
+struct SimulateCommand {
+  std::string output;
+  SimulateOptions options;
+};
+absl::Status RunSimulate(const CommonOptions& common,
+                         const SimulateCommand& command);
+
+}  // namespace mapsieve::client
+
+#endif  // MAPSIEVE_CLIENT_CLI_COMMANDS_H_

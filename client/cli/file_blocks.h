@@ -1,0 +1,36 @@
+#ifndef MAPSIEVE_CLIENT_CLI_FILE_BLOCKS_H_
+#define MAPSIEVE_CLIENT_CLI_FILE_BLOCKS_H_
+
+#include <filesystem>
+#include <memory>
+
+#include "client/api/block_source.h"
+#include "client/formats/point_file.h"
+#include "core/geometry/lattice.h"
+
+namespace mapsieve::client {
+
+/// The blocks of a point file on a map's lattice, in file order. One batch is
+/// in memory at a time.
+class FileBlocks final : public BlockSource {
+ public:
+  FileBlocks(std::filesystem::path path, ReadOptions options,
+             core::Lattice lattice);
+
+  absl::Status Rewind() override;
+  absl::StatusOr<std::vector<std::byte>> NextBlock() override;
+  core::RefusedCounts refused() const override { return refused_; }
+  /// Of the open file; Rewind comes first.
+  const PointFileInfo& info() const { return reader_->info(); }
+
+ private:
+  const std::filesystem::path path_;
+  const ReadOptions options_;
+  const core::Lattice lattice_;
+  std::unique_ptr<PointReader> reader_;
+  core::RefusedCounts refused_;
+};
+
+}  // namespace mapsieve::client
+
+#endif  // MAPSIEVE_CLIENT_CLI_FILE_BLOCKS_H_

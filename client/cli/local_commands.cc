@@ -1,0 +1,239 @@
+#include <chrono>
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/commands.h"
+#include "client/cli/output.h"
+#include "client/cli/progress_bar.h"
+#include "client/formats/point_file.h"
+#include "core/base/executor.h"
+#include "core/base/status.h"
+#include "core/cloud/merge_duplicates.h"
+#include "core/sampling/random_sample.h"
+#include "core/sampling/spatial_budget.h"
+#include "core/spdf/cloud_filter.h"
+
+namespace mapsieve::client {
+namespace {
+
+/// Points read or written at a time.
+constexpr size_t kBatchPoints = 262144;
+
+class Stopwatch {
+ public:
+  /// Seconds since the last lap.
+  double Lap() {
+    const auto now = std::chrono::steady_clock::now();
+    const double seconds = std::chrono::duration<double>(now - last_).count();
+    last_ = now;
+    return RoundSeconds(seconds);
+  }
+
+ private:
+  std::chrono::steady_clock::time_point last_ =
+      std::chrono::steady_clock::now();
+};
+
+struct Sample {
+  core::LatticeCloud cloud;
+  /// Left after the rounds, outliers included; of random, the sample's size.
+  int64_t after_rounds = 0;
+  core::LabelCounts label_counts{};
+  core::RefusedCounts refused;
+};
+
+/// Keeps `rows` of `filtered` that the budget chooses, with centroids in place
+/// of the points if they are asked for.
+absl::StatusOr<core::LatticeCloud> UnderBudget(const core::LatticeCloud& cloud,
+                                               std::vector<uint32_t> rows,
+                                               core::LabelColumns columns,
+                                               const SampleCommand& command) {
+  std::vector<core::LatticePoint> positions;
+  for (const uint32_t row : rows) positions.push_back(cloud.positions[row]);
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const core::BudgetSample sample,
+      core::SampleUnderBudget(positions, columns.label, command.max_points));
+  std::vector<uint32_t> kept_rows;
+  core::LabelColumns kept_columns;
+  for (const uint32_t i : sample.rows) {
+    kept_rows.push_back(rows[i]);
+    kept_columns.Append(columns, i);
+  }
+  core::LatticeCloud kept =
+      core::MakeLabeledCloud(cloud, kept_rows, kept_columns);
+  if (command.centroids) {
+    for (size_t i = 0; i < kept.size(); ++i) {
+      kept.positions[i] = {std::llrint(sample.centroids[i].x),
+                           std::llrint(sample.centroids[i].y),
+                           std::llrint(sample.centroids[i].z)};
+    }
+  }
+  return kept;
+}
+
+absl::StatusOr<Sample> TakeSample(const core::PointCloud& input,
+                                  const SampleCommand& command,
+                                  const ExecutionContext& context) {
+  Sample sample;
+  const core::Lattice lattice(
+      static_cast<int64_t>(std::nearbyint(command.step * 1e9)));
+  const core::LatticeCloud cloud =
+      core::Quantize(input, lattice, sample.refused);
+  if (command.method == "random") {
+    const core::LatticeCloud distinct =
+        cloud.Select(core::MergeDuplicates(cloud));
+    sample.cloud = distinct.Select(core::RandomSample(
+        distinct.positions, command.max_points, command.options.seed));
+    sample.after_rounds = static_cast<int64_t>(sample.cloud.size());
+    sample.label_counts[0] = sample.after_rounds;
+    return sample;
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const core::FilteredCloud filtered,
+                            core::FilterCloud(cloud, command.options, context));
+  sample.after_rounds = filtered.summary.survivor_count;
+  std::vector<uint32_t> rows;
+  core::LabelColumns columns;
+  for (const uint32_t i : filtered.Inliers(command.options.outlier_share)) {
+    rows.push_back(filtered.rows[i]);
+    columns.Append(filtered.columns, i);
+  }
+  if (command.method == "spatial-spdf") {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        sample.cloud,
+        UnderBudget(cloud, std::move(rows), std::move(columns), command));
+  } else {
+    sample.cloud = core::MakeLabeledCloud(cloud, rows, columns);
+  }
+  const core::Column& labels = *sample.cloud.attributes.Find("label");
+  for (size_t i = 0; i < labels.size(); ++i) {
+    ++sample.label_counts[labels.Get<uint8_t>(i)];
+  }
+  return sample;
+}
+
+/// Copies a file in batches.
+absl::StatusOr<int64_t> Copy(PointReader& reader, PointWriter& writer,
+                             ProgressSink& progress) {
+  int64_t count = 0;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const core::PointCloud batch,
+                              reader.ReadBatch(kBatchPoints));
+    if (batch.size() == 0) return count;
+    MAPSIEVE_RETURN_IF_ERROR(writer.Write(batch));
+    count += static_cast<int64_t>(batch.size());
+    progress.Report(count, reader.info().point_count.value_or(0));
+  }
+}
+
+}  // namespace
+
+absl::Status RunSample(const CommonOptions& common,
+                       const SampleCommand& command) {
+  if (!(command.step >= 1e-9 && command.step <= 1)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--step is ", command.step, "; it must be 1e-9 to 1"));
+  }
+  Stopwatch stopwatch;
+  const ReadOptions read_options = {.column_names = command.column_names};
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<PointReader> reader,
+                            OpenPointFile(command.input, read_options));
+  const std::string crs = reader->info().crs_wkt;
+  MAPSIEVE_ASSIGN_OR_RETURN(const core::PointCloud input,
+                            ReadPointFile(command.input, read_options));
+  const double read_s = stopwatch.Lap();
+  const std::unique_ptr<Executor> workers = MakeWorkerPool(command.threads);
+  absl::StatusOr<Sample> sample;
+  {
+    ProgressBar bar("sample", "visits");
+    sample = TakeSample(input, command,
+                        {.executor = workers.get(), .progress = &bar});
+  }
+  MAPSIEVE_RETURN_IF_ERROR(sample.status());
+  const double filter_s = stopwatch.Lap();
+  MAPSIEVE_RETURN_IF_ERROR(WritePointFile(
+      command.output, core::ToPointCloud(sample->cloud),
+      {.coordinate_step = sample->cloud.lattice.step(), .crs_wkt = crs}));
+  PrintResult(common.json,
+              {{"points_in", input.size()},
+               {"refused_non_finite_count", sample->refused.non_finite},
+               {"refused_out_of_lattice_count", sample->refused.out_of_lattice},
+               {"points_after_rounds", sample->after_rounds},
+               {"points_out", sample->cloud.size()},
+               {"label_counts", LabelCountsJson(sample->label_counts)},
+               {"read_s", read_s},
+               {"filter_s", filter_s},
+               {"write_s", stopwatch.Lap()},
+               {"peak_rss_bytes", PeakRssBytes()},
+               {"output", command.output}});
+  return absl::OkStatus();
+}
+
+absl::Status RunConvert(const CommonOptions& common,
+                        const ConvertCommand& command) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::unique_ptr<PointReader> reader,
+      OpenPointFile(command.input, {.column_names = command.column_names}));
+  const PointFileInfo& info = reader->info();
+  WriteOptions options = {.attributes = info.attributes,
+                          .crs_wkt = info.crs_wkt};
+  if (info.coordinate_step > 0) options.coordinate_step = info.coordinate_step;
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<PointWriter> writer,
+                            CreatePointFile(command.output, options));
+  int64_t count = 0;
+  {
+    ProgressBar bar("convert", "points");
+    MAPSIEVE_ASSIGN_OR_RETURN(count, Copy(*reader, *writer, bar));
+  }
+  MAPSIEVE_RETURN_IF_ERROR(writer->Finish());
+  PrintResult(common.json, {{"input", command.input},
+                            {"format", info.format},
+                            {"point_count", count},
+                            {"output", command.output}});
+  return absl::OkStatus();
+}
+
+absl::Status RunRender(const CommonOptions& common,
+                       const RenderCommand& command) {
+  std::vector<RenderPanel> panels;
+  for (const std::string& input : command.inputs) {
+    // A file that exists is meant as it stands, even with a "=" in its name.
+    const size_t equals = input.find('=');
+    if (equals == std::string::npos || std::filesystem::exists(input)) {
+      panels.push_back({"", input});
+    } else {
+      panels.push_back({input.substr(0, equals), input.substr(equals + 1)});
+    }
+  }
+  {
+    ProgressBar bar("render", "points");
+    MAPSIEVE_RETURN_IF_ERROR(RenderComparison(
+        panels, command.output, command.options, {.progress = &bar}));
+  }
+  PrintResult(common.json, {{"output", command.output}});
+  return absl::OkStatus();
+}
+
+absl::Status RunSimulate(const CommonOptions& common,
+                         const SimulateCommand& command) {
+  Stopwatch stopwatch;
+  MAPSIEVE_RETURN_IF_ERROR(command.options.Validate());
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::unique_ptr<PointWriter> writer,
+      CreatePointFile(command.output, SimulatedWriteOptions()));
+  {
+    ProgressBar bar("simulate", "points");
+    MAPSIEVE_RETURN_IF_ERROR(
+        Simulate(command.options, *writer, {.progress = &bar}));
+  }
+  PrintResult(common.json, {{"point_count", command.options.point_count},
+                            {"seed", command.options.seed},
+                            {"simulate_s", stopwatch.Lap()},
+                            {"peak_rss_bytes", PeakRssBytes()},
+                            {"output", command.output}});
+  return absl::OkStatus();
+}
+
+}  // namespace mapsieve::client

@@ -1,0 +1,335 @@
+#include <cstdio>
+#include <cstdlib>
+#include <functional>
+#include <map>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "CLI/CLI.hpp"
+#include "absl/status/status.h"
+#include "absl/synchronization/mutex.h"
+#include "client/cli/commands.h"
+
+namespace mapsieve::client {
+namespace {
+
+using Run = std::function<absl::Status()>;
+
+/// The options of a filter run, into any struct: each setter gets the value if
+/// the option is given.
+template <typename Options>
+void AddFilterOptions(CLI::App& command, Options& options) {
+  const auto add = [&](const char* name, auto& field, const char* help) {
+    return command.add_option(name, field, help);
+  };
+  add("--rho,--density-radius", options.density_radius_m,
+      "Radius of uniform density in map units, default 0.4");
+  add("--sigma,--vote-scale", options.vote_scale_m2,
+      "Vote kernel exp(-d^2 / sigma), in square map units, default 0.2");
+  add("--neighbors", options.neighbor_count,
+      "Neighbours that vote for a point (k), 6 to 127, default 50");
+  add("--reach", options.reach_m,
+      "Largest distance of a vote, default where the kernel falls to 0.001");
+  add("--rounds", options.max_round_count,
+      "Rounds of the rule paper at most, 0 to 15, default 10");
+  add("--seed", options.seed, "Changes which points stay, default 0");
+  add("--outlier-share", options.outlier_share,
+      "Share of a label's largest confidence below which a point is an "
+      "outlier, default 0.1");
+}
+
+void AddColumnsOption(CLI::App& command, std::vector<std::string>& names) {
+  command
+      .add_option("--columns", names,
+                  "Column names of CSV and XYZ files, comma-separated")
+      ->delimiter(',');
+}
+
+CLI::Option* AddRuleOption(CLI::App& command, std::string& rule) {
+  return command.add_option("--rule", rule, "Density rule, default paper")
+      ->check(CLI::IsMember({"paper", "quota"}));
+}
+
+void AddCreate(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<CreateCommand>();
+  CLI::App* command = app.add_subcommand("create", "Create an empty map");
+  command->add_option("MAP", options->map, "Id of the map")->required();
+  command->add_option("--step", options->step,
+                      "Edge of a lattice cell in map units, default 0.001");
+  command->add_option("--tile-edge", options->tile_edge,
+                      "Edge of a processing tile in map units, rounded up to a "
+                      "power of two of steps; results do not depend on it");
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunCreate(common, *options); };
+  });
+}
+
+void AddUpload(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<UploadCommand>();
+  CLI::App* command = app.add_subcommand(
+      "upload", "Add point files to a map; again after a break, it resumes");
+  command->add_option("MAP", options->map, "Id of the map")->required();
+  command->add_option("FILE", options->files, "LAS, PCD, PLY, CSV, XYZ, VTK")
+      ->required();
+  command->add_flag("--process", options->process, "Run the filter after it");
+  AddColumnsOption(*command, options->column_names);
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunUpload(common, *options); };
+  });
+}
+
+void AddProcess(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<ProcessCommand>();
+  auto rule = std::make_shared<std::string>();
+  CLI::App* command = app.add_subcommand(
+      "process",
+      "Run the filter over a map, with its last options if none "
+      "are given");
+  command->add_option("MAP", options->map, "Id of the map")->required();
+  AddFilterOptions(*command, options->options);
+  AddRuleOption(*command, *rule);
+  command->add_flag("--no-wait", options->no_wait,
+                    "Print the operation instead of waiting for it");
+  command->callback([=, &common, &run] {
+    if (!rule->empty()) options->options.quota_rule = *rule == "quota";
+    run = [=, &common] { return RunProcess(common, *options); };
+  });
+}
+
+void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<QueryCommand>();
+  auto box = std::make_shared<std::vector<double>>();
+  auto sphere = std::make_shared<std::vector<double>>();
+  auto labels = std::make_shared<std::vector<std::string>>();
+  CLI::App* command =
+      app.add_subcommand("query", "Write the points of a region to a file");
+  command->add_option("MAP", options->spec.map_id, "Id of the map")->required();
+  CLI::Option* box_option =
+      command->add_option("--box", *box, "x0 y0 z0 x1 y1 z1 in map units")
+          ->expected(6);
+  command->add_option("--sphere", *sphere, "x y z radius in map units")
+      ->expected(4)
+      ->excludes(box_option);
+  CLI::Option* label_option =
+      command
+          ->add_option("--labels", *labels,
+                       "Of junction, curve, surface; comma-separated")
+          ->delimiter(',')
+          ->check(CLI::IsMember({"junction", "curve", "surface"}));
+  CLI::Option* budget_option = command->add_option(
+      "--max-points", options->spec.max_point_count,
+      "At most this many points, spread evenly over each label");
+  budget_option->check(CLI::PositiveNumber);
+  command
+      ->add_flag("--centroids", options->spec.centroids,
+                 "With --max-points: centroids instead of points")
+      ->needs(budget_option);
+  command->add_flag("--raw", options->spec.raw, "The points as uploaded")
+      ->excludes(label_option)
+      ->excludes(budget_option);
+  command->add_option("--revision", options->spec.revision,
+                      "Default: the newest processed one");
+  command->add_option("-o,--output", options->output, "LAS, PCD, PLY or CSV")
+      ->required();
+  command->callback([=, &common, &run] {
+    if (!box->empty()) {
+      const std::vector<double>& b = *box;
+      options->spec.region = BoxRegion{{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
+    }
+    if (!sphere->empty()) {
+      const std::vector<double>& s = *sphere;
+      options->spec.region = SphereRegion{{s[0], s[1], s[2]}, s[3]};
+    }
+    for (const std::string& label : *labels) {
+      for (const auto candidate : {core::Label::kJunction, core::Label::kCurve,
+                                   core::Label::kSurface}) {
+        if (core::LabelName(candidate) == label) {
+          options->spec.labels.push_back(candidate);
+        }
+      }
+    }
+    run = [=, &common] { return RunQuery(common, *options); };
+  });
+}
+
+void AddMapCommands(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto map = std::make_shared<std::string>();
+  auto force = std::make_shared<bool>(false);
+  CLI::App* info = app.add_subcommand("info", "Counts and sizes of a map");
+  info->add_option("MAP", *map, "Id of the map")->required();
+  info->callback([=, &common, &run] {
+    run = [=, &common] { return RunInfo(common, *map); };
+  });
+  CLI::App* list = app.add_subcommand("list", "List the maps");
+  list->callback(
+      [&common, &run] { run = [&common] { return RunList(common); }; });
+  CLI::App* remove = app.add_subcommand("delete", "Remove a map for ever");
+  remove->add_option("MAP", *map, "Id of the map")->required();
+  remove->add_flag("--force", *force,
+                   "Also with unfinished uploads or a running operation");
+  remove->callback([=, &common, &run] {
+    run = [=, &common] { return RunDelete(common, *map, *force); };
+  });
+}
+
+void AddSample(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<SampleCommand>();
+  auto rule = std::make_shared<std::string>();
+  CLI::App* command =
+      app.add_subcommand("sample", "Filter a file in memory, without a server");
+  command->add_option("INPUT", options->input, "LAS, PCD, PLY, CSV, XYZ, VTK")
+      ->required();
+  command->add_option("-o,--output", options->output, "LAS, PCD, PLY or CSV")
+      ->required();
+  command->add_option("--method", options->method, "Default spdf")
+      ->check(CLI::IsMember({"spdf", "spatial-spdf", "random"}));
+  command
+      ->add_option("--max-points", options->max_points,
+                   "Points wanted; of the methods spatial-spdf and random")
+      ->check(CLI::PositiveNumber);
+  command->add_flag("--centroids", options->centroids,
+                    "Of spatial-spdf: centroids instead of points");
+  command->add_option("--step", options->step,
+                      "Edge of a lattice cell in map units, default 0.001");
+  AddFilterOptions(*command, options->options);
+  AddRuleOption(*command, *rule);
+  options->threads =
+      static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  command->add_option("--threads", options->threads, "Default: one a processor")
+      ->check(CLI::Range(1, 1024));
+  AddColumnsOption(*command, options->column_names);
+  command->callback([=, &common, &run] {
+    if (*rule == "quota") options->options.rule = core::DensityRule::kQuota;
+    const bool budget = options->method != "spdf";
+    if (budget != (options->max_points > 0)) {
+      throw CLI::ValidationError(
+          budget ? "--method " + options->method + " needs --max-points"
+                 : "--max-points needs --method spatial-spdf or random");
+    }
+    if (options->centroids && options->method != "spatial-spdf") {
+      throw CLI::ValidationError("--centroids needs --method spatial-spdf");
+    }
+    run = [=, &common] { return RunSample(common, *options); };
+  });
+}
+
+void AddConvert(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<ConvertCommand>();
+  CLI::App* command = app.add_subcommand(
+      "convert", "Write a point file in another format, of any size");
+  command->add_option("INPUT", options->input, "LAS, PCD, PLY, CSV, XYZ, VTK")
+      ->required();
+  command->add_option("OUTPUT", options->output, "LAS, PCD, PLY or CSV")
+      ->required();
+  AddColumnsOption(*command, options->column_names);
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunConvert(common, *options); };
+  });
+}
+
+void AddRender(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<RenderCommand>();
+  RenderOptions& render = options->options;
+  CLI::App* command =
+      app.add_subcommand("render", "Draw point files, side by side, as a PNG");
+  command
+      ->add_option("INPUT", options->inputs, "FILE or TITLE=FILE, a panel each")
+      ->required();
+  command->add_option("-o,--output", options->output, "A .png file")
+      ->required();
+  command->add_option("--view", render.view, "top or oblique, default top")
+      ->transform(
+          CLI::CheckedTransformer(std::map<std::string, RenderOptions::View>{
+              {"top", RenderOptions::View::kTop},
+              {"oblique", RenderOptions::View::kOblique}}));
+  command->add_option("--color-by", render.color_by,
+                      "auto, height or an attribute; default auto: label if "
+                      "there is one, else height");
+  command->add_option("--width", render.width, "Pixels, default 1600");
+  command->add_option("--height", render.height,
+                      "Pixels, default what the points ask for");
+  command->add_option("--azimuth", render.azimuth_deg,
+                      "Oblique: compass direction looked to, default 30");
+  command->add_option("--elevation", render.elevation_deg,
+                      "Oblique: degrees above the horizon, default 35");
+  command->add_option("--point-size", render.point_size_px,
+                      "Pixels, default what closes the surfaces");
+  command->add_option("--background", render.background, "dark or light")
+      ->transform(CLI::CheckedTransformer(
+          std::map<std::string, RenderOptions::Background>{
+              {"dark", RenderOptions::Background::kDark},
+              {"light", RenderOptions::Background::kLight}}));
+  command->add_option("--title", render.title, "Headline");
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunRender(common, *options); };
+  });
+}
+
+void AddSimulate(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<SimulateCommand>();
+  CLI::App* command = app.add_subcommand(
+      "simulate", "Write a simulated survey of a campus, of any size");
+  command->add_option("OUTPUT", options->output, "LAS, PCD, PLY or CSV")
+      ->required();
+  command->add_option("--points", options->options.point_count,
+                      "Default 1000000");
+  command->add_option("--seed", options->options.seed, "Default 1");
+  command->add_option("--range-noise", options->options.range_noise_m,
+                      "Standard deviation in metres, default 0.012");
+  command->add_option("--spurious-share", options->options.spurious_share,
+                      "Share of returns from nothing, default 0.002");
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunSimulate(common, *options); };
+  });
+}
+
+int Main(int argc, char** argv) {
+  CLI::App app(
+      "mapsieve: compresses point-cloud maps to labeled surfaces, curves and "
+      "junctions",
+      "mapsieve");
+  app.set_version_flag("--version", MAPSIEVE_VERSION);
+  app.require_subcommand(1);
+  CommonOptions common;
+  common.server = "127.0.0.1:7070";
+  app.add_option("--server", common.server, "HOST:PORT, default 127.0.0.1:7070")
+      ->envname("MAPSIEVE_SERVER");
+  app.add_flag("--json", common.json, "Print one JSON document on stdout");
+  app.fallthrough();
+  Run run;
+  AddCreate(app, common, run);
+  AddUpload(app, common, run);
+  AddProcess(app, common, run);
+  AddQuery(app, common, run);
+  AddMapCommands(app, common, run);
+  AddSample(app, common, run);
+  AddConvert(app, common, run);
+  AddRender(app, common, run);
+  AddSimulate(app, common, run);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  const absl::Status status = run();
+  if (status.ok()) return 0;
+  std::fprintf(stderr, "mapsieve: %s\n", std::string(status.message()).c_str());
+  return 1;
+}
+
+}  // namespace
+}  // namespace mapsieve::client
+
+int main(int argc, char** argv) {
+  // gRPC locks Abseil's mutexes in ways that its deadlock detector, which
+  // aborts the process, mistakes for cycles.
+  absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
+  try {
+    return mapsieve::client::Main(argc, argv);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "mapsieve: %s\n", error.what());
+    return 1;
+  }
+}

@@ -1,0 +1,31 @@
+#ifndef MAPSIEVE_CLIENT_CLI_OUTPUT_H_
+#define MAPSIEVE_CLIENT_CLI_OUTPUT_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "core/cloud/label.h"
+#include "nlohmann/json.hpp"
+
+namespace mapsieve::client {
+
+/// Keys stay in the order in which they are added.
+using Json = nlohmann::ordered_json;
+
+/// Prints a command's result on stdout: the document with --json, else its
+/// members a line each.
+void PrintResult(bool as_json, const Json& result);
+
+/// {"junction": …, "curve": …, "surface": …}
+Json LabelCountsJson(const core::LabelCounts& counts);
+
+/// Seconds with millisecond resolution.
+double RoundSeconds(double seconds);
+
+/// Largest resident set of this process so far.
+int64_t PeakRssBytes();
+
+}  // namespace mapsieve::client
+
+#endif  // MAPSIEVE_CLIENT_CLI_OUTPUT_H_

@@ -1,0 +1,229 @@
+#include <chrono>
+#include <cmath>
+#include <optional>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/api/map_client.h"
+#include "client/cli/commands.h"
+#include "client/cli/file_blocks.h"
+#include "client/cli/output.h"
+#include "client/cli/progress_bar.h"
+#include "client/formats/point_file.h"
+#include "core/base/status.h"
+
+namespace mapsieve::client {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double SecondsSince(Clock::time_point start) {
+  return RoundSeconds(
+      std::chrono::duration<double>(Clock::now() - start).count());
+}
+
+ProgressCallback Show(ProgressBar& bar) {
+  return [&bar](int64_t done, int64_t total) { bar.Report(done, total); };
+}
+
+double Step(const MapInfo& map) { return core::Lattice(map.step_nm).step(); }
+
+Json ProcessJson(const std::string& map, const ProcessReport& report,
+                 double seconds) {
+  return {{"map", map},
+          {"revision", report.revision},
+          {"distinct_point_count", report.distinct_point_count},
+          {"point_count", report.point_count},
+          {"label_counts", LabelCountsJson(report.label_counts)},
+          {"outlier_count", report.outlier_count},
+          {"round_count", report.round_count},
+          {"process_s", seconds}};
+}
+
+Json BoundsJson(const std::optional<Bounds>& bounds) {
+  if (!bounds.has_value()) return nullptr;
+  const auto point = [](const core::Point3& p) {
+    return Json::array({p.x, p.y, p.z});
+  };
+  return {{"min", point(bounds->min)}, {"max", point(bounds->max)}};
+}
+
+/// Runs the filter and waits.
+absl::StatusOr<Json> Process(MapClient& client, const std::string& map,
+                             const std::optional<ProcessOptions>& options) {
+  const Clock::time_point start = Clock::now();
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::string operation,
+                            client.StartProcess(map, options));
+  absl::StatusOr<ProcessReport> report;
+  {
+    ProgressBar bar("process " + map, "tiles");
+    report = client.WaitForProcess(operation, Show(bar));
+  }
+  MAPSIEVE_RETURN_IF_ERROR(report.status());
+  return ProcessJson(map, *report, SecondsSince(start));
+}
+
+}  // namespace
+
+absl::Status RunCreate(const CommonOptions& common,
+                       const CreateCommand& command) {
+  MapClient client(common.server);
+  MapSpec spec = {.id = command.map, .tile_edge = command.tile_edge};
+  if (command.step > 0) {
+    const double step_nm = std::nearbyint(command.step * 1e9);
+    if (!(step_nm >= 1 && step_nm <= static_cast<double>(core::kMaxStepNm))) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--step is ", command.step, "; it must be 1e-9 to 1"));
+    }
+    spec.step_nm = static_cast<int64_t>(step_nm);
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.CreateMap(spec));
+  PrintResult(common.json,
+              {{"map", map.id},
+               {"step", Step(map)},
+               {"tile_edge", std::ldexp(Step(map), map.tile_level)}});
+  return absl::OkStatus();
+}
+
+absl::Status RunProcess(const CommonOptions& common,
+                        const ProcessCommand& command) {
+  MapClient client(common.server);
+  std::optional<ProcessOptions> options;
+  if (!(command.options == ProcessOptions())) options = command.options;
+  if (command.no_wait) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::string operation,
+                              client.StartProcess(command.map, options));
+    PrintResult(common.json, {{"map", command.map}, {"operation", operation}});
+    return absl::OkStatus();
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const Json result,
+                            Process(client, command.map, options));
+  PrintResult(common.json, result);
+  return absl::OkStatus();
+}
+
+absl::Status RunUpload(const CommonOptions& common,
+                       const UploadCommand& command) {
+  MapClient client(common.server);
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(command.map));
+  Json files = Json::array();
+  for (const std::string& file : command.files) {
+    const Clock::time_point start = Clock::now();
+    FileBlocks blocks(file, {.column_names = command.column_names},
+                      core::Lattice(map.step_nm));
+    absl::StatusOr<UploadReport> report;
+    {
+      ProgressBar bar("upload " + file, "B");
+      report = client.Upload(command.map, blocks, Show(bar));
+    }
+    if (!report.ok()) return Annotate(report.status(), file);
+    files.push_back(
+        {{"file", file},
+         {"already_there", report->already_there},
+         {"added_point_count",
+          report->already_there ? 0 : report->added_point_count},
+         {"refused_non_finite_count", report->refused_non_finite_count},
+         {"refused_out_of_lattice_count", report->refused_out_of_lattice_count},
+         {"revision", report->revision},
+         {"tile_count", report->tile_count},
+         {"bounds", BoundsJson(report->bounds)},
+         {"upload_bytes", report->upload_bytes},
+         {"sent_bytes", report->sent_bytes},
+         {"upload_s", SecondsSince(start)}});
+  }
+  Json result = {{"map", command.map}, {"files", std::move(files)}};
+  if (command.process) {
+    MAPSIEVE_ASSIGN_OR_RETURN(result["process"],
+                              Process(client, command.map, std::nullopt));
+  }
+  PrintResult(common.json, result);
+  return absl::OkStatus();
+}
+
+absl::Status RunQuery(const CommonOptions& common,
+                      const QueryCommand& command) {
+  const Clock::time_point start = Clock::now();
+  MapClient client(common.server);
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map,
+                            client.GetMap(command.spec.map_id));
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<QueryStream> stream,
+                            client.Query(command.spec));
+  const double first_s = SecondsSince(start);
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::unique_ptr<PointWriter> writer,
+      CreatePointFile(command.output, {.attributes = stream->header().columns,
+                                       .coordinate_step = Step(map),
+                                       .crs_wkt = map.crs_wkt}));
+  int64_t count = 0;
+  {
+    ProgressBar bar("query " + map.id, "points");
+    while (true) {
+      MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud batch, stream->Next());
+      if (batch.size() == 0) break;
+      MAPSIEVE_RETURN_IF_ERROR(writer->Write(core::ToPointCloud(batch)));
+      count += static_cast<int64_t>(batch.size());
+      bar.Report(count, stream->header().candidate_point_count);
+    }
+  }
+  MAPSIEVE_RETURN_IF_ERROR(writer->Finish());
+  PrintResult(common.json, {{"map", map.id},
+                            {"revision", stream->header().revision},
+                            {"point_count", count},
+                            {"label_counts",
+                             LabelCountsJson(stream->summary().label_counts)},
+                            {"header_s", first_s},
+                            {"query_s", SecondsSince(start)},
+                            {"output", command.output}});
+  return absl::OkStatus();
+}
+
+absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
+  MapClient client(common.server);
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(map_id));
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapStats stats, client.GetMapStats(map_id));
+  Json attributes = Json::object();
+  for (const core::ColumnSpec& spec : stats.attributes) {
+    attributes[spec.name] = std::string(core::ScalarTypeName(spec.type));
+  }
+  PrintResult(common.json,
+              {{"map", map.id},
+               {"uid", map.uid},
+               {"step", Step(map)},
+               {"tile_edge", std::ldexp(Step(map), map.tile_level)},
+               {"revision", stats.revision},
+               {"processed_revision", stats.processed_revision},
+               {"raw_point_count", stats.raw_point_count},
+               {"point_count", stats.point_count},
+               {"label_counts", LabelCountsJson(stats.label_counts)},
+               {"outlier_count", stats.outlier_count},
+               {"stored_bytes", stats.stored_bytes},
+               {"tile_count", stats.tile_count},
+               {"stale_tile_count", stats.stale_tile_count},
+               {"bounds", BoundsJson(stats.bounds)},
+               {"attributes", attributes}});
+  return absl::OkStatus();
+}
+
+absl::Status RunList(const CommonOptions& common) {
+  MapClient client(common.server);
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<MapInfo> maps, client.ListMaps());
+  Json list = Json::array();
+  for (const MapInfo& map : maps) {
+    list.push_back({{"map", map.id},
+                    {"revision", map.revision},
+                    {"processed_revision", map.processed_revision},
+                    {"step", Step(map)}});
+  }
+  PrintResult(common.json, {{"maps", std::move(list)}});
+  return absl::OkStatus();
+}
+
+absl::Status RunDelete(const CommonOptions& common, const std::string& map,
+                       bool force) {
+  MapClient client(common.server);
+  MAPSIEVE_RETURN_IF_ERROR(client.DeleteMap(map, force));
+  PrintResult(common.json, {{"deleted", map}});
+  return absl::OkStatus();
+}
+
+}  // namespace mapsieve::client

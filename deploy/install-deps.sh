@@ -1,0 +1,35 @@
+#!/usr/bin/env bash
+# Installs the Debian 12 packages that mapsieve needs.
+#   install-deps.sh            to build, test and run it
+#   install-deps.sh --runtime  to run its programs only
+set -euo pipefail
+
+build=(
+  build-essential ca-certificates cmake ninja-build pkg-config ccache python3
+  libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev
+  libabsl-dev libeigen3-dev liblz4-dev libzstd-dev libxxhash-dev liblzf-dev
+  libsqlite3-dev libcli11-dev nlohmann-json3-dev libspdlog-dev libpng-dev
+  libfreetype-dev fonts-dejavu-core
+  libgtest-dev libgmock-dev librapidcheck-dev
+)
+runtime=(
+  libgrpc++1.51 libprotobuf32 libabsl20220623 liblz4-1 libzstd1 libxxhash0
+  liblzf1 libsqlite3-0 libspdlog1.10 libfmt9 libpng16-16 libfreetype6
+  fonts-dejavu-core
+)
+
+packages=("${build[@]}")
+[ "${1:-}" = --runtime ] && packages=("${runtime[@]}")
+
+missing=()
+for package in "${packages[@]}"; do
+  status=$(dpkg-query -W -f '${Status}' "$package" 2>/dev/null || true)
+  [ "$status" = "install ok installed" ] || missing+=("$package")
+done
+[ ${#missing[@]} -gt 0 ] || exit 0
+
+sudo=()
+[ "$(id -u)" -eq 0 ] || sudo=(sudo)
+export DEBIAN_FRONTEND=noninteractive
+"${sudo[@]}" apt-get update -qq
+"${sudo[@]}" apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null

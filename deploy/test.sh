@@ -1,0 +1,67 @@
+#!/usr/bin/env bash
+# Builds and tests everything on a bare Debian 12: a release build with all
+# tests, AddressSanitizer and UBSan on the unit and fault tests, ThreadSanitizer
+# on all that is concurrent below the RPC layer. The last line of the output is
+# "N passed, N failed".
+#   test.sh          what a change must pass
+#   test.sh --long   the slow tests too
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+long=false
+case "${1:-}" in
+  "") ;;
+  --long) long=true ;;
+  *) echo "usage: $0 [--long]" >&2; exit 2 ;;
+esac
+
+./deploy/install-deps.sh
+
+# Whole builds share what they can.
+launcher=()
+command -v ccache >/dev/null && launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
+jobs=$(nproc)
+results=build/test-results
+rm -rf "$results"
+mkdir -p "$results"
+
+step() { printf '\n== %s (%s)\n' "$1" "$(date +%T)"; }
+configure() { cmake --preset "$1" "${launcher[@]}" >"$results/$1.configure.log" || { cat "$results/$1.configure.log"; return 1; }; }
+
+step "release build"
+configure ci
+grep -o 'No real data at .*' "$results/ci.configure.log" || true
+cmake --build --preset ci -j "$jobs"
+
+step "release tests"
+filter=(-LE slow)
+$long && filter=()
+ctest --test-dir build/release -j "$jobs" --output-on-failure --no-tests=error \
+  "${filter[@]}" --output-junit "$PWD/$results/release.xml" | tail -n 40 || true
+
+# The sanitizers run whole test programs: one process a program is many times
+# faster than one a test.
+run_programs() {  # BUILD PROGRAM…
+  local build=$1; shift
+  printf '%s\n' "$@" | xargs -P "$jobs" -I{} sh -c '
+    if "build/$1/bin/{}" --gtest_brief=1 --gtest_output="xml:$2/$1-{}.xml" >"$2/$1-{}.log" 2>&1
+    then echo "$1 {}: passed"
+    else echo "$1 {}: FAILED"; tail -n 80 "$2/$1-{}.log"; [ -e "$2/$1-{}.xml" ] || touch "$2/$1-{}.died"; fi
+  ' sh "$build" "$results"
+}
+
+step "ASan and UBSan build"
+configure asan
+asan=$(cat build/asan/unit_test_programs.txt)
+cmake --build --preset asan -j "$jobs" --target $asan
+step "ASan and UBSan tests"
+run_programs asan $asan
+
+step "TSan build"
+configure tsan
+tsan=$(cat build/tsan/threaded_test_programs.txt)
+cmake --build --preset tsan -j "$jobs" --target $tsan
+step "TSan tests"
+run_programs tsan $tsan
+
+./tests/count_results.py "$results"

@@ -1,0 +1,272 @@
+#!/usr/bin/python3
+"""The programs as a user runs them: a real server process, real files.
+
+usage: main_path_test.py BIN_DIR [TEST_DATA]
+"""
+
+import csv
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import tempfile
+import unittest
+
+BIN = pathlib.Path(sys.argv[1])
+DATA = pathlib.Path(sys.argv[2]) if len(sys.argv) > 2 else None
+STEP = 0.001
+
+
+class Server:
+    """A mapsieved on a free port with a data directory of its own."""
+
+    def __init__(self, data):
+        self.data = data
+        self.start()
+
+    def start(self):
+        self.process = subprocess.Popen(
+            [BIN / "mapsieved", "--data", self.data, "--listen", "127.0.0.1:0"],
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        line = self.process.stdout.readline()
+        prefix = "mapsieved listening on "
+        assert line.startswith(prefix), line
+        self.address = line[len(prefix):].strip()
+
+    def stop(self, with_signal=signal.SIGTERM):
+        self.process.send_signal(with_signal)
+        code = self.process.wait(timeout=60)
+        self.process.stdout.close()
+        return code
+
+
+class MainPath(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.TemporaryDirectory()
+        cls.work = pathlib.Path(cls.folder.name)
+        cls.server = Server(cls.work / "data")
+
+    @classmethod
+    def tearDownClass(cls):
+        code = cls.server.stop()
+        cls.folder.cleanup()
+        assert code == 0, f"the server exited with {code} on SIGTERM"
+
+    def run_command(self, *arguments):
+        return subprocess.run(
+            [BIN / "mapsieve", "--server", self.server.address, "--json",
+             *map(str, arguments)],
+            capture_output=True, text=True, timeout=600)
+
+    def mapsieve(self, *arguments):
+        result = self.run_command(*arguments)
+        self.assertEqual(result.returncode, 0, f"{arguments}: {result.stderr}")
+        return json.loads(result.stdout)
+
+    def fails(self, *arguments, status=1, message=""):
+        result = self.run_command(*arguments)
+        self.assertEqual(result.returncode, status,
+                         f"{arguments}: {result.stdout} {result.stderr}")
+        if status == 1:
+            self.assertEqual(len(result.stderr.splitlines()), 1, result.stderr)
+        self.assertIn(message, result.stderr)
+
+    def rows(self, path):
+        """Rows of a CSV file by lattice point; values as text."""
+        by_point = {}
+        with open(path, newline="") as file:
+            for row in csv.DictReader(file):
+                point = tuple(round(float(row.pop(a)) / STEP) for a in "xyz")
+                by_point.setdefault(point, []).append(row)
+        return by_point
+
+    def check_map(self, name, source, process_options=()):
+        """Takes a file through the main path and compares attributes."""
+        self.mapsieve("create", name)
+        upload = self.mapsieve("upload", name, source)["files"][0]
+        process = self.mapsieve("process", name, *process_options)
+        info = self.mapsieve("info", name)
+        self.assertEqual(info["raw_point_count"], upload["added_point_count"])
+        self.assertEqual(info["point_count"], process["point_count"])
+        self.assertEqual(info["stale_tile_count"], 0)
+        self.assertGreater(info["point_count"], 0)
+
+        converted = self.work / f"{name}_input.csv"
+        answer = self.work / f"{name}_answer.csv"
+        self.mapsieve("convert", source, converted)
+        query = self.mapsieve("query", name, "-o", answer)
+        self.assertEqual(query["point_count"], info["point_count"])
+        self.assertEqual(query["label_counts"], info["label_counts"])
+        before = self.rows(converted)
+        after = self.rows(answer)
+        self.assertEqual(len(after), info["point_count"])
+        own = ("label", "confidence", "nx", "ny", "nz")
+        for point, (row,) in after.items():
+            attributes = {}
+            for key, value in row.items():
+                if key not in own:
+                    attributes[key.removeprefix("input_")] = value
+            self.assertIn(attributes, before[point])
+
+        budget = max(1, info["point_count"] // 3)
+        spread = self.work / f"{name}_spread.csv"
+        self.assertEqual(
+            self.mapsieve("query", name, "--max-points", budget, "-o",
+                          spread)["point_count"], budget)
+        self.assertLessEqual(set(self.rows(spread)), set(after))
+        return info
+
+    def test_simulated_campus(self):
+        source = self.work / "campus.las"
+        self.mapsieve("simulate", source, "--points", 150000)
+        info = self.check_map("campus", source, ("--rho", "0.2"))
+        self.assertGreater(info["label_counts"]["surface"],
+                           info["label_counts"]["curve"])
+
+        again = self.mapsieve("upload", "campus", source)["files"][0]
+        self.assertTrue(again["already_there"])
+        self.assertEqual(self.mapsieve("info", "campus"), info)
+
+        center = [(a + b) / 2 for a, b in zip(info["bounds"]["min"],
+                                              info["bounds"]["max"])]
+        curves = self.work / "curves.csv"
+        self.mapsieve("query", "campus", "--sphere", *center, 30, "--labels",
+                      "curve,junction", "-o", curves)
+        for x, y, z in self.rows(curves):
+            d2 = sum((q * STEP - c) ** 2 for q, c in zip((x, y, z), center))
+            self.assertLessEqual(d2, 30.0001 ** 2)
+        for (row,) in self.rows(curves).values():
+            self.assertIn(row["label"], ("1", "2"))
+
+        local = self.work / "local.csv"
+        served = self.work / "served.csv"
+        self.mapsieve("sample", source, "--rho", "0.2", "-o", local)
+        self.mapsieve("query", "campus", "-o", served)
+        self.assertEqual(self.rows(local), self.rows(served))
+
+    def test_picture(self):
+        source = self.work / "small.ply"
+        picture = self.work / "small.png"
+        self.mapsieve("simulate", source, "--points", 20000)
+        self.mapsieve("render", source, "-o", picture)
+        self.assertEqual(picture.read_bytes()[:8], b"\x89PNG\r\n\x1a\n")
+
+    @unittest.skipUnless(DATA, "no real data")
+    def test_real_maps(self):
+        self.check_map("metres", DATA / "maps/autzen_140m_metres.las",
+                       ("--rho", "1", "--sigma", "2"))
+        self.check_map("trim", DATA / "maps/autzen_trim.las",
+                       ("--rho", "3", "--sigma", "6"))
+
+    @unittest.skipUnless(DATA, "no real data")
+    def test_real_scans(self):
+        for name, file in (
+                ("car", "libpointmatcher/car_cloud400.csv"),
+                ("apartment", "libpointmatcher/cloud_0.vtk"),
+                ("vehicle", "norlab/cloud_1690309709_285305600.vtk"),
+                ("velodyne", "small_gicp/source.ply")):
+            self.check_map(name, DATA / "registration" / file, ("--rho", "0.2"))
+
+    def test_bad_input_is_refused_in_one_line_and_changes_nothing(self):
+        good = self.work / "good.csv"
+        good.write_text("x,y,z,t\n1,2,3,4\n")
+        self.mapsieve("create", "bad")
+        self.mapsieve("upload", "bad", good)
+        before = self.mapsieve("info", "bad")
+
+        whole = self.work / "whole.las"
+        self.mapsieve("simulate", whole, "--points", 1000)
+        cut = self.work / "cut.las"
+        cut.write_bytes(whole.read_bytes()[:-100])
+        self.fails("upload", "bad", cut, message="cut.las")
+        empty = self.work / "empty.las"
+        empty.write_bytes(b"")
+        self.fails("upload", "bad", empty, message="empty.las")
+        self.fails("upload", "bad", self.work / "absent.las", message="absent")
+        typed = self.work / "typed.ply"
+        typed.write_text(
+            "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\n"
+            "property float y\nproperty float z\nproperty uchar t\n"
+            "end_header\n1 1 1 1\n")
+        self.fails("upload", "bad", typed, message="uint8")
+        self.fails("process", "bad", "--rho", "-1", message="density_radius_m")
+        self.fails("query", "bad", "-o", self.work / "x.ply", message="process")
+        self.fails("query", "bad", "-o", self.work / "x.doc", message="x.doc")
+        self.fails("create", "bad", message="bad")
+        self.fails("create", "../etc", message="../etc")
+        self.fails("info", "nosuchmap", message="nosuchmap")
+        self.fails("query", "bad", status=2)
+        self.fails("nosuchcommand", status=2)
+        self.assertEqual(self.mapsieve("info", "bad"), before)
+
+    def test_refused_points_are_counted_by_reason(self):
+        source = self.work / "refused.csv"
+        source.write_text("x,y,z\n1,2,3\nnan,2,3\n1,inf,3\n1e300,0,0\n")
+        self.mapsieve("create", "refused")
+        file = self.mapsieve("upload", "refused", source)["files"][0]
+        self.assertEqual(file["added_point_count"], 1)
+        self.assertEqual(file["refused_non_finite_count"], 2)
+        self.assertEqual(file["refused_out_of_lattice_count"], 1)
+
+    def test_one_point_and_many_in_one_voxel(self):
+        one = self.work / "one.csv"
+        one.write_text("x,y,z\n1,2,3\n")
+        self.mapsieve("create", "one")
+        self.mapsieve("upload", "one", one, "--process")
+        self.assertEqual(self.mapsieve("info", "one")["raw_point_count"], 1)
+        many = self.work / "many.csv"
+        many.write_text("x,y,z\n" + "5,5,5\n" * 1000000)
+        self.mapsieve("create", "many")
+        result = self.mapsieve("upload", "many", many, "--process")
+        self.assertEqual(result["files"][0]["added_point_count"], 1000000)
+        self.assertEqual(result["process"]["distinct_point_count"], 1)
+
+    def test_restart_and_kill_lose_nothing(self):
+        source = self.work / "kept.las"
+        self.mapsieve("simulate", source, "--points", 30000)
+        self.mapsieve("create", "kept")
+        self.mapsieve("upload", "kept", source, "--process")
+        before = self.mapsieve("info", "kept")
+        for with_signal, code in ((signal.SIGKILL, -signal.SIGKILL),
+                                  (signal.SIGTERM, 0)):
+            self.assertEqual(self.server.stop(with_signal), code)
+            self.server.start()
+            self.assertEqual(self.mapsieve("info", "kept"), before)
+        answer = self.mapsieve("query", "kept", "-o", self.work / "kept.ply")
+        self.assertEqual(answer["point_count"], before["point_count"])
+
+    def test_delete_removes_the_map_only(self):
+        self.mapsieve("create", "kept-map")
+        self.mapsieve("create", "gone")
+        self.mapsieve("delete", "gone")
+        names = [m["map"] for m in self.mapsieve("list")["maps"]]
+        self.assertIn("kept-map", names)
+        self.assertNotIn("gone", names)
+
+
+class WithoutServer(unittest.TestCase):
+    def test_unreachable_server_is_named(self):
+        result = subprocess.run(
+            [BIN / "mapsieve", "--server", "127.0.0.1:1", "list"],
+            capture_output=True, text=True, timeout=60)
+        self.assertEqual(result.returncode, 1)
+        self.assertIn("127.0.0.1:1", result.stderr)
+
+    def test_data_directory_has_one_server(self):
+        with tempfile.TemporaryDirectory() as folder:
+            server = Server(pathlib.Path(folder) / "data")
+            second = subprocess.run(
+                [BIN / "mapsieved", "--data", pathlib.Path(folder) / "data",
+                 "--listen", "127.0.0.1:0"],
+                capture_output=True, text=True, timeout=60)
+            self.assertEqual(second.returncode, 1)
+            self.assertIn(str(server.process.pid), second.stderr)
+            self.assertEqual(server.stop(), 0)
+
+
+if __name__ == "__main__":
+    os.environ.pop("MAPSIEVE_SERVER", None)
+    unittest.main(argv=sys.argv[:1], verbosity=2)
