@@ -137,7 +137,7 @@ LatticeCloud MakeLabeledCloud(const LatticeCloud& cloud,
                       Column({"nz", ScalarType::kFloat32}, rows.size())};
   for (size_t i = 0; i < rows.size(); ++i) {
     label.Set(i, static_cast<uint8_t>(columns.label[i]));
-    confidence.Set(i, static_cast<float>(columns.confidence[i]) / 65535.0f);
+    confidence.Set(i, ConfidenceValue(columns.confidence[i]));
     const std::array<float, 3> n = DecodeOctahedral(columns.normal[i]);
     for (size_t a = 0; a < 3; ++a) normal[a].Set(i, n[a]);
   }

@@ -1,0 +1,225 @@
+#include "server/engine/answer_columns.h"
+
+#include <algorithm>
+#include <array>
+#include <set>
+#include <string_view>
+#include <utility>
+
+#include "core/base/status.h"
+#include "core/geometry/octahedral.h"
+#include "core/spdf/cloud_filter.h"
+#include "server/engine/product_chunk.h"
+#include "storage/names.h"
+
+namespace mapsieve::engine {
+namespace {
+
+using core::Column;
+using core::ColumnSpec;
+using core::LatticeCloud;
+using core::ScalarType;
+
+constexpr std::array<std::string_view, 3> kNormalNames = {"nx", "ny", "nz"};
+constexpr std::array<std::string_view, 3> kTangentNames = {"tx", "ty", "tz"};
+constexpr std::array<std::string_view, 3> kLambdaNames = {"lambda1", "lambda2",
+                                                          "lambda3"};
+
+/// Memory of a stored point without its attributes: position, label,
+/// confidence, eigenvalues, normal and tangent.
+constexpr int64_t kProductPointBytes = 24 + 1 + 2 + 3 * 4 + 4 + 4;
+
+/// What a block needs at most besides values: position columns, fixed fields
+/// and an entry for each column without its name.
+constexpr int64_t kBlockHeadBytes = 512;
+constexpr int64_t kColumnHeadBytes = 64;
+constexpr int64_t kPositionBytes = 3 * (8 + 1);
+
+constexpr size_t kNamesInMessage = 20;
+
+absl::Status UnknownAttribute(const std::string& name,
+                              std::span<const ColumnSpec> attributes) {
+  std::string known;
+  for (size_t i = 0; i < std::min(attributes.size(), kNamesInMessage); ++i) {
+    absl::StrAppend(&known, i == 0 ? "" : ", ", attributes[i].name);
+  }
+  if (attributes.size() > kNamesInMessage) absl::StrAppend(&known, ", …");
+  return absl::NotFoundError(absl::StrCat("the map has no attribute ",
+                                          storage::Quoted(name), "; it has ",
+                                          attributes.empty() ? "none" : known));
+}
+
+bool HasFilterColumn(const ColumnSelection& c) {
+  return c.label || c.confidence || c.normal || c.tangent || c.eigenvalues;
+}
+
+}  // namespace
+
+absl::StatusOr<AnswerColumns> AnswerColumns::Make(
+    const QuerySpec& spec, std::span<const ColumnSpec> attributes) {
+  const ColumnSelection selection =
+      spec.columns.value_or(ColumnSelection{.label = !spec.raw,
+                                            .confidence = !spec.raw,
+                                            .normal = !spec.raw,
+                                            .all_attributes = true});
+  if (spec.raw && HasFilterColumn(selection)) {
+    return absl::InvalidArgumentError(
+        "columns: raw points have no label, confidence, normal, tangent or "
+        "eigenvalues; ask for attributes only, or for processed points");
+  }
+  std::set<std::string_view> wanted(selection.attributes.begin(),
+                                    selection.attributes.end());
+  for (const std::string& name : selection.attributes) {
+    if (std::none_of(attributes.begin(), attributes.end(),
+                     [&](const ColumnSpec& a) { return a.name == name; })) {
+      return UnknownAttribute(name, attributes);
+    }
+  }
+  AnswerColumns columns;
+  columns.AddFilterColumns(selection);
+  std::vector<std::string_view> taken;
+  if (!spec.raw) {
+    taken.assign(core::kLabelColumnNames.begin(),
+                 core::kLabelColumnNames.end());
+  }
+  const std::vector<ColumnSpec> own = columns.specs_;
+  for (const ColumnSpec& column : own) taken.push_back(column.name);
+  for (const ColumnSpec& attribute : attributes) {
+    if (selection.all_attributes || wanted.contains(attribute.name)) {
+      columns.AddAttribute(attribute, core::NameBeside(attribute.name, taken));
+    }
+  }
+  return columns;
+}
+
+void AnswerColumns::Add(std::vector<ColumnSpec> specs, std::string stored_name,
+                        Source source) {
+  for (ColumnSpec& spec : specs) specs_.push_back(std::move(spec));
+  stored_names_.push_back(std::move(stored_name));
+  sources_.push_back(std::move(source));
+}
+
+void AnswerColumns::AddVector(std::span<const std::string_view> names,
+                              std::string_view stored_name) {
+  std::vector<ColumnSpec> specs;
+  for (const std::string_view name : names) {
+    specs.push_back({std::string(name), ScalarType::kFloat32});
+  }
+  Add(specs, std::string(stored_name),
+      [specs, stored_name](const LatticeCloud& chunk,
+                           std::span<const uint32_t> rows,
+                           std::vector<Column>& answer) -> absl::Status {
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            const Column* const codes,
+            FindProductColumn(chunk, stored_name, ScalarType::kUint32));
+        const size_t first = answer.size();
+        for (const ColumnSpec& spec : specs) {
+          answer.emplace_back(spec, rows.size());
+        }
+        for (size_t i = 0; i < rows.size(); ++i) {
+          const std::array<float, 3> v =
+              core::DecodeOctahedral(codes->Get<uint32_t>(rows[i]));
+          for (size_t axis = 0; axis < v.size(); ++axis) {
+            answer[first + axis].Set(i, v[axis]);
+          }
+        }
+        return absl::OkStatus();
+      });
+}
+
+void AnswerColumns::AddCopy(const ColumnSpec& spec,
+                            const std::string& stored_name) {
+  Add({spec}, stored_name,
+      [spec, stored_name](const LatticeCloud& chunk,
+                          std::span<const uint32_t> rows,
+                          std::vector<Column>& answer) -> absl::Status {
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            const Column* const stored,
+            FindProductColumn(chunk, stored_name, spec.type));
+        answer.push_back(stored->Select(rows));
+        answer.back().Rename(spec.name);
+        return absl::OkStatus();
+      });
+}
+
+void AnswerColumns::AddFilterColumns(const ColumnSelection& selection) {
+  if (selection.label) {
+    AddCopy({"label", ScalarType::kUint8}, std::string(kLabelColumn));
+  }
+  if (selection.confidence) {
+    const ColumnSpec spec = {"confidence", ScalarType::kFloat32};
+    Add({spec}, std::string(kConfidenceColumn),
+        [spec](const LatticeCloud& chunk, std::span<const uint32_t> rows,
+               std::vector<Column>& answer) -> absl::Status {
+          MAPSIEVE_ASSIGN_OR_RETURN(
+              const Column* const stored,
+              FindProductColumn(chunk, kConfidenceColumn, ScalarType::kUint16));
+          Column& column = answer.emplace_back(spec, rows.size());
+          for (size_t i = 0; i < rows.size(); ++i) {
+            column.Set(i,
+                       core::ConfidenceValue(stored->Get<uint16_t>(rows[i])));
+          }
+          return absl::OkStatus();
+        });
+  }
+  if (selection.normal) AddVector(kNormalNames, kNormalColumn);
+  if (selection.tangent) AddVector(kTangentNames, kTangentColumn);
+  if (selection.eigenvalues) {
+    for (size_t l = 0; l < kLambdaNames.size(); ++l) {
+      AddCopy({std::string(kLambdaNames[l]), ScalarType::kFloat32},
+              std::string(kLambdaColumns[l]));
+    }
+  }
+}
+
+void AnswerColumns::AddAttribute(const ColumnSpec& attribute,
+                                 std::string name) {
+  const ColumnSpec spec = {std::move(name), attribute.type};
+  Add({spec}, attribute.name,
+      [spec, attribute](const LatticeCloud& chunk,
+                        std::span<const uint32_t> rows,
+                        std::vector<Column>& answer) -> absl::Status {
+        const Column* const stored = chunk.attributes.Find(attribute.name);
+        if (stored == nullptr) {
+          answer.emplace_back(spec).AppendMissing(rows.size());
+          return absl::OkStatus();
+        }
+        MAPSIEVE_RETURN_IF_ERROR(
+            FindProductColumn(chunk, attribute.name, spec.type).status());
+        answer.push_back(stored->Select(rows));
+        answer.back().Rename(spec.name);
+        return absl::OkStatus();
+      });
+}
+
+absl::StatusOr<core::ColumnSet> AnswerColumns::Build(
+    const LatticeCloud& chunk, std::span<const uint32_t> rows) const {
+  core::ColumnSet answer;
+  answer.columns().reserve(specs_.size());
+  for (const Source& source : sources_) {
+    MAPSIEVE_RETURN_IF_ERROR(source(chunk, rows, answer.columns()));
+  }
+  return answer;
+}
+
+int64_t AnswerColumns::stored_point_bytes() const {
+  int64_t bytes = kProductPointBytes;
+  for (const ColumnSpec& spec : specs_) {
+    bytes += static_cast<int64_t>(core::ScalarSize(spec.type)) + 1;
+  }
+  return bytes;
+}
+
+size_t AnswerColumns::PointsPerBlock(int64_t max_bytes) const {
+  int64_t head = kBlockHeadBytes;
+  int64_t point = kPositionBytes;
+  for (const ColumnSpec& spec : specs_) {
+    head += kColumnHeadBytes + static_cast<int64_t>(spec.name.size());
+    // A byte more than the value bounds every transform and the bitmap of
+    // missing values.
+    point += static_cast<int64_t>(core::ScalarSize(spec.type)) + 1;
+  }
+  return static_cast<size_t>(std::max((max_bytes - head) / point, int64_t{1}));
+}
+
+}  // namespace mapsieve::engine

@@ -1,0 +1,19 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_CHUNK_READER_H_
+#define MAPSIEVE_SERVER_ENGINE_CHUNK_READER_H_
+
+#include "absl/status/statusor.h"
+#include "core/cloud/point_cloud.h"
+#include "core/codec/points_codec.h"
+#include "storage/store.h"
+
+namespace mapsieve::engine {
+
+/// The points of a chunk. Errors of ReadSnapshot::ReadChunk and DecodePoints,
+/// naming tile and blob; kDataLoss: not as many points as the catalogue says.
+absl::StatusOr<core::LatticeCloud> ReadPoints(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
+    const core::DecodeOptions& options = {});
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_CHUNK_READER_H_

@@ -1,0 +1,61 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_CHUNK_WRITER_H_
+#define MAPSIEVE_SERVER_ENGINE_CHUNK_WRITER_H_
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/base/executor.h"
+#include "core/cloud/point_cloud.h"
+#include "core/geometry/cell_key.h"
+#include "storage/store.h"
+
+namespace mapsieve::engine {
+
+/// Points of one tile.
+struct TileCloud {
+  core::CellKey tile;
+  core::LatticeCloud points;
+};
+
+/// Memory of a decoded point of `cloud`, its flags of missing values included.
+int64_t DecodedPointBytes(const core::LatticeCloud& cloud);
+
+/// Makes chunks of one kind out of the points of tiles and stores them. The
+/// chunks are safe from collection while the writer lives: destroy it after
+/// the commit. Used by one thread at a time.
+class ChunkWriter {
+ public:
+  /// A tile's points are divided into chunks of at most `max_chunk_bytes`
+  /// decoded (but a point at least). `executor` outlives the writer; as many
+  /// chunks as it has workers are encoded at a time.
+  ChunkWriter(storage::Store& store, storage::ChunkKind kind,
+              int64_t max_chunk_bytes, Executor& executor);
+
+  /// Puts the points of each cloud in Morton order, those of one place in the
+  /// order given, and stores them. All are durable when it returns. Product
+  /// clouds are those of MakeProductCloud. Errors of storage; kCancelled.
+  absl::Status Write(std::vector<TileCloud> clouds,
+                     const std::stop_token& stop);
+
+  /// References to all chunks written, in the order of Write.
+  const std::vector<storage::ChunkRef>& chunks() const { return chunks_; }
+
+ private:
+  absl::StatusOr<std::vector<storage::ChunkRef>> WriteTile(
+      const TileCloud& cloud) const;
+  absl::StatusOr<storage::ChunkRef> WriteChunk(
+      const core::CellKey& tile, const core::LatticeCloud& points) const;
+
+  const storage::ChunkKind kind_;
+  const int64_t max_chunk_bytes_;
+  Executor& executor_;
+  const std::unique_ptr<storage::BlobWriter> blobs_;
+  std::vector<storage::ChunkRef> chunks_;
+};
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_CHUNK_WRITER_H_

@@ -1,0 +1,351 @@
+#include "server/engine/ingest.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <limits>
+#include <map>
+#include <memory>
+#include <set>
+#include <string_view>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include "core/base/hash.h"
+#include "core/base/status.h"
+#include "core/codec/points_codec.h"
+#include "core/geometry/cell_key.h"
+#include "server/engine/attribute_schema.h"
+#include "server/engine/chunk_writer.h"
+#include "server/engine/opaque_records.h"
+
+namespace mapsieve::engine {
+namespace {
+
+using core::CellKey;
+using core::LatticeCloud;
+using core::LatticePoint;
+
+/// Points by tile until they are written.
+class TileBuckets {
+ public:
+  explicit TileBuckets(int tile_level) : tile_level_(tile_level) {}
+
+  /// Estimated memory of all buckets.
+  int64_t bytes() const { return bytes_; }
+
+  absl::Status Add(const LatticeCloud& block) {
+    std::map<CellKey, std::vector<uint32_t>, core::CellKeyLess> rows_by_tile;
+    CellKey last_key;
+    std::vector<uint32_t>* last = nullptr;
+    for (uint32_t row = 0; row < block.size(); ++row) {
+      const CellKey key = CellKey::Of(block.positions[row], tile_level_);
+      if (last == nullptr || !(key == last_key)) {
+        last_key = key;
+        last = &rows_by_tile[key];
+      }
+      last->push_back(row);
+    }
+    for (const auto& [key, rows] : rows_by_tile) {
+      LatticeCloud& bucket = buckets_[key];
+      bytes_ -= BytesOf(bucket);
+      const LatticeCloud part = block.Select(rows);
+      MAPSIEVE_RETURN_IF_ERROR(bucket.attributes.AppendAll(
+          bucket.size(), part.attributes, part.size()));
+      bucket.lattice = block.lattice;
+      bucket.positions.insert(bucket.positions.end(), part.positions.begin(),
+                              part.positions.end());
+      bytes_ += BytesOf(bucket);
+    }
+    return absl::OkStatus();
+  }
+
+  /// Takes the fullest buckets until at most `target_bytes` are left.
+  std::vector<TileCloud> TakeFullest(int64_t target_bytes) {
+    std::vector<std::pair<int64_t, CellKey>> by_size;
+    by_size.reserve(buckets_.size());
+    for (const auto& [key, bucket] : buckets_) {
+      by_size.emplace_back(BytesOf(bucket), key);
+    }
+    // Ties by key: the same upload makes the same chunks.
+    std::sort(by_size.begin(), by_size.end(), [](const auto& a, const auto& b) {
+      if (a.first != b.first) return a.first > b.first;
+      return core::CellKeyLess()(a.second, b.second);
+    });
+    std::vector<TileCloud> taken;
+    for (const auto& [size, key] : by_size) {
+      if (bytes_ <= target_bytes) break;
+      const auto bucket = buckets_.find(key);
+      taken.push_back({key, std::move(bucket->second)});
+      buckets_.erase(bucket);
+      bytes_ -= size;
+    }
+    return taken;
+  }
+
+ private:
+  /// Vectors that grow hold up to twice what they need; nodes and columns cost
+  /// something of their own.
+  static int64_t BytesOf(const LatticeCloud& bucket) {
+    if (bucket.size() == 0) return 0;
+    return 256 +
+           2 * static_cast<int64_t>(bucket.size()) * DecodedPointBytes(bucket) +
+           128 * static_cast<int64_t>(bucket.attributes.columns().size());
+  }
+
+  const int tile_level_;
+  std::unordered_map<CellKey, LatticeCloud, core::CellKeyHash> buckets_;
+  int64_t bytes_ = 0;
+};
+
+/// Turns the bytes of one upload into chunks.
+class Ingest {
+ public:
+  Ingest(storage::Store& store, const storage::MapRecord& map,
+         const storage::UploadRecord& upload, const IngestLimits& limits,
+         const ExecutionContext& context)
+      : map_(map),
+        upload_(upload),
+        limits_(limits),
+        context_(context),
+        buckets_(map.spec.tile_level),
+        chunks_(store, storage::ChunkKind::kRaw, limits.chunk_bytes,
+                *context.executor) {}
+
+  /// Reads all blocks and stores their points. `schema`: the attributes of the
+  /// map, to which those of the upload are added.
+  absl::Status Run(const storage::UploadReader& reader,
+                   AttributeSchema& schema) {
+    ContentHasher hasher;
+    for (int64_t offset = 0; offset < reader.size();) {
+      MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+      context_.ReportProgress(offset, reader.size());
+      auto block = ReadBlock(reader, offset);
+      absl::Status status = block.status();
+      if (status.ok()) {
+        hasher.Update(*block);
+        offset += static_cast<int64_t>(block->size());
+        status = AddBlock(*block, schema);
+      }
+      if (!status.ok()) {
+        return Annotate(status,
+                        absl::StrCat("upload ", upload_.spec.id, ", block ",
+                                     block_count_, " at ", offset));
+      }
+      ++block_count_;
+      if (buckets_.bytes() > limits_.bucket_bytes) {
+        MAPSIEVE_RETURN_IF_ERROR(Flush(limits_.bucket_bytes / 2));
+      }
+    }
+    if (hasher.HexDigest() != upload_.spec.content_hash) {
+      return absl::DataLossError(absl::StrCat(
+          "upload ", upload_.spec.id, ": its ", reader.size(),
+          " bytes have the hash ", hasher.HexDigest(), ", expected ",
+          upload_.spec.content_hash, "; delete it and upload again"));
+    }
+    MAPSIEVE_RETURN_IF_ERROR(Flush(0));
+    context_.ReportProgress(reader.size(), reader.size());
+    return absl::OkStatus();
+  }
+
+  const std::vector<storage::ChunkRef>& chunks() const {
+    return chunks_.chunks();
+  }
+
+  UploadReport Report() const {
+    const core::Lattice lattice(map_.spec.step_nm);
+    UploadReport report = {.block_count = block_count_};
+    std::set<CellKey, core::CellKeyLess> tiles;
+    core::LatticeBox box;
+    for (const storage::ChunkRef& chunk : chunks()) {
+      tiles.insert(chunk.tile);
+      const core::LatticeBox& b = chunk.bounds;
+      if (report.added_point_count == 0) box = b;
+      box = {{std::min(box.min.x, b.min.x), std::min(box.min.y, b.min.y),
+              std::min(box.min.z, b.min.z)},
+             {std::max(box.max.x, b.max.x), std::max(box.max.y, b.max.y),
+              std::max(box.max.z, b.max.z)}};
+      report.added_point_count += chunk.point_count;
+    }
+    report.tile_count = static_cast<int64_t>(tiles.size());
+    if (report.added_point_count > 0) {
+      report.bounds = Bounds{
+          lattice.Position(box.min),
+          lattice.Position({box.max.x - 1, box.max.y - 1, box.max.z - 1})};
+    }
+    return report;
+  }
+
+ private:
+  absl::StatusOr<std::vector<std::byte>> ReadBlock(
+      const storage::UploadReader& reader, int64_t offset) const {
+    const int64_t left = reader.size() - offset;
+    constexpr auto kPrefix = static_cast<int64_t>(core::kBlockPrefixBytes);
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> prefix,
+                              reader.Read(offset, std::min(left, kPrefix)));
+    if (left < kPrefix) {
+      return absl::DataLossError(
+          absl::StrCat("the upload ends inside a block: expected at least ",
+                       kPrefix, " bytes, have ", left));
+    }
+    MAPSIEVE_ASSIGN_OR_RETURN(const int64_t length,
+                              core::ReadBlockLength(prefix));
+    if (length > left) {
+      return absl::DataLossError(
+          absl::StrCat("the upload ends inside a block: expected ", length,
+                       " bytes, have ", left));
+    }
+    if (length > limits_.block_bytes) return TooLarge("", length);
+    return reader.Read(offset, length);
+  }
+
+  absl::Status TooLarge(std::string_view decoded, int64_t bytes) const {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "the block has ", bytes, ToAbsl(decoded), " bytes, this server takes ",
+        limits_.block_bytes, "; send smaller blocks"));
+  }
+
+  absl::Status AddBlock(std::span<const std::byte> bytes,
+                        AttributeSchema& schema) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const core::BlockHeader header,
+                              core::ReadBlockHeader(bytes));
+    if (header.step_nm != map_.spec.step_nm) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("the block has a lattice step of ", header.step_nm,
+                       " nm, map ", map_.spec.id, " of ", map_.spec.step_nm,
+                       " nm; quantise the points with the map's step"));
+    }
+    if (header.decoded_bytes > limits_.block_bytes) {
+      return TooLarge(" decoded", header.decoded_bytes);
+    }
+    MAPSIEVE_RETURN_IF_ERROR(schema.Add(header.columns));
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const LatticeCloud points,
+        core::DecodePoints(bytes, {.max_decoded_bytes = limits_.block_bytes}));
+    return buckets_.Add(points);
+  }
+
+  absl::Status Flush(int64_t target_bytes) {
+    return chunks_.Write(buckets_.TakeFullest(target_bytes), context_.stop);
+  }
+
+  const storage::MapRecord& map_;
+  const storage::UploadRecord& upload_;
+  const IngestLimits limits_;
+  const ExecutionContext& context_;
+  TileBuckets buckets_;
+  ChunkWriter chunks_;
+  int64_t block_count_ = 0;
+};
+
+absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
+                                       const std::string& map_id,
+                                       const storage::UploadRecord& upload,
+                                       const IngestLimits& limits,
+                                       const ExecutionContext& context) {
+  MAPSIEVE_ASSIGN_OR_RETURN(storage::MapRecord map,
+                            store.catalogue().GetMap(map_id));
+  if (map.uid != upload.map_uid) {
+    return absl::NotFoundError(
+        absl::StrCat("map ", map_id, " is another one than at the upload"));
+  }
+  if (upload.committed_bytes != upload.spec.expected_bytes) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "upload ", upload.spec.id, " has ", upload.committed_bytes, " of ",
+        upload.spec.expected_bytes.value_or(0), " bytes; send the rest"));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const auto reader,
+                            store.uploads().OpenReader(upload.uid));
+  // What the client said at creation; nothing if a crash came in between.
+  UploadReport notes;
+  if (!upload.report.empty()) {
+    MAPSIEVE_ASSIGN_OR_RETURN(notes, ParseUploadReport(upload.report));
+  }
+  Ingest ingest(store, map, upload, limits, context);
+  MAPSIEVE_ASSIGN_OR_RETURN(AttributeSchema schema,
+                            AttributeSchema::Of(store.catalogue(), map));
+  MAPSIEVE_RETURN_IF_ERROR(ingest.Run(*reader, schema));
+  while (true) {
+    MAPSIEVE_RETURN_IF_ERROR(context.CheckStop());
+    UploadReport report = ingest.Report();
+    report.refused = notes.refused;
+    report.revision = map.newest_revision + 1;
+    const auto committed = store.catalogue().CommitRevision(
+        map.uid, map.newest_revision,
+        {.spec = {.kind = storage::RevisionKind::kUpload,
+                  .description = "upload " + upload.spec.id,
+                  .attributes = schema.columns(),
+                  .refused = notes.refused},
+         .added = ingest.chunks(),
+         .finalized_upload_uid = upload.uid,
+         .upload_report = FormatUploadReport(report)});
+    if (committed.ok()) return report;
+    if (!absl::IsAborted(committed.status())) return committed.status();
+    // Another revision came first; these points can follow any.
+    MAPSIEVE_ASSIGN_OR_RETURN(map, store.catalogue().GetMap(map_id));
+    MAPSIEVE_ASSIGN_OR_RETURN(AttributeSchema newer,
+                              AttributeSchema::Of(store.catalogue(), map));
+    MAPSIEVE_RETURN_IF_ERROR(newer.Add(schema.columns()));
+    schema = std::move(newer);
+  }
+}
+
+/// Whether the same bytes can never become points of the same map.
+bool IsFinal(const absl::Status& status) {
+  return absl::IsInvalidArgument(status) || absl::IsDataLoss(status);
+}
+
+}  // namespace
+
+IngestLimits IngestLimits::Of(int64_t memory_bytes) {
+  return {.block_bytes = std::min(memory_bytes / 4, kMaxUploadBlockBytes),
+          .bucket_bytes = memory_bytes / 2,
+          .chunk_bytes = std::min(memory_bytes / 32, int64_t{16} << 20)};
+}
+
+absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
+                                       const std::string& map_id,
+                                       const std::string& upload_uid,
+                                       const IngestLimits& limits,
+                                       const ExecutionContext& context) {
+  storage::Catalogue& catalogue = store.catalogue();
+  MAPSIEVE_ASSIGN_OR_RETURN(storage::UploadRecord upload,
+                            catalogue.GetUploadByUid(upload_uid));
+  using storage::UploadState;
+  switch (upload.state) {
+    case UploadState::kFinalized:
+      return ParseUploadReport(upload.report);
+    case UploadState::kFailed:
+      return absl::FailedPreconditionError(
+          absl::StrCat("upload ", upload.spec.id,
+                       " failed before; delete it and upload again"));
+    case UploadState::kActive: {
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          upload,
+          catalogue.SetUploadState(upload_uid, UploadState::kActive,
+                                   UploadState::kFinalizing, upload.report));
+      break;
+    }
+    case UploadState::kFinalizing:
+      break;
+  }
+  absl::StatusOr<UploadReport> report =
+      AddPoints(store, map_id, upload, limits, context);
+  if (report.ok()) {
+    // What stays behind is collected as garbage.
+    store.uploads().Remove(upload_uid).IgnoreError();
+    return report;
+  }
+  const UploadState outcome =
+      IsFinal(report.status()) ? UploadState::kFailed : UploadState::kActive;
+  // The first error counts; a state that could not be set is finalizing, from
+  // which another attempt starts too.
+  catalogue
+      .SetUploadState(upload_uid, UploadState::kFinalizing, outcome,
+                      upload.report)
+      .status()
+      .IgnoreError();
+  return report;
+}
+
+}  // namespace mapsieve::engine

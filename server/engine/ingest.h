@@ -1,0 +1,43 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_INGEST_H_
+#define MAPSIEVE_SERVER_ENGINE_INGEST_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "core/base/executor.h"
+#include "server/engine/types.h"
+#include "storage/store.h"
+
+namespace mapsieve::engine {
+
+/// How chunks and ingest share `memory_bytes`.
+struct IngestLimits {
+  /// Of an upload's block, encoded as well as decoded.
+  int64_t block_bytes = 0;
+  /// Points collected per tile before they are written as chunks.
+  int64_t bucket_bytes = 0;
+  /// Of a decoded chunk.
+  int64_t chunk_bytes = 0;
+
+  static IngestLimits Of(int64_t memory_bytes);
+};
+
+/// Adds the points of a complete upload to its map, named `map_id`, as one new
+/// revision, and marks the upload finalized in the same transaction; then drops
+/// its staged bytes. Done already: tells the report. After an error the map is
+/// as before and the upload is kFailed, if its bytes can never become points of
+/// this map, else kActive. Errors as Engine::FinalizeUpload has them for the
+/// operation.
+///
+/// Raw chunks of a tile hold its points in Morton order and all attributes
+/// that their block had. Memory: about `limits`, however large the upload.
+absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
+                                       const std::string& map_id,
+                                       const std::string& upload_uid,
+                                       const IngestLimits& limits,
+                                       const ExecutionContext& context);
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_INGEST_H_

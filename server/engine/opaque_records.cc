@@ -1,0 +1,236 @@
+#include "server/engine/opaque_records.h"
+
+#include <cstdint>
+#include <type_traits>
+#include <utility>
+
+#include "core/base/bytes.h"
+#include "core/base/status.h"
+
+namespace mapsieve::engine {
+namespace {
+
+constexpr uint8_t kVersion = 1;
+
+// Each record has one function Visit, which names its fields in their order:
+// the writer and the reader below walk through the same list.
+
+class Writer {
+ public:
+  Writer() { writer_.Put(kVersion); }
+
+  template <Scalar T>
+  void Field(const char* /*name*/, const T& value) {
+    writer_.Put(value);
+  }
+  void Field(const char* /*name*/, const std::string& value) {
+    writer_.PutShortText(value);
+  }
+  /// Whether the optional fields that follow are there.
+  bool Presence(const char* /*name*/, bool present) {
+    writer_.Put(static_cast<uint8_t>(present));
+    return present;
+  }
+  std::string Text() && {
+    const std::vector<std::byte>& bytes = writer_.bytes();
+    return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+  }
+
+ private:
+  ByteWriter writer_;
+};
+
+/// Remembers the first error and leaves fields alone after it.
+class Reader {
+ public:
+  explicit Reader(std::string_view bytes) : reader_(TextBytes(bytes)) {
+    uint8_t version = 0;
+    Field("version", version);
+    if (status_.ok() && version != kVersion) {
+      status_ = absl::DataLossError(
+          absl::StrCat("version ", version, ", expected ", kVersion));
+    }
+  }
+
+  template <Scalar T>
+  void Field(const char* name, T& value) {
+    Store(reader_.Take<T>(name), value);
+  }
+  void Field(const char* name, std::string& value) {
+    Store(reader_.TakeShortText(name), value);
+  }
+  bool Presence(const char* name, bool /*present*/) {
+    uint8_t present = 0;
+    Field(name, present);
+    return present != 0;
+  }
+  absl::Status Finish(std::string_view record) {
+    if (status_.ok() && reader_.remaining() != 0) {
+      status_ = absl::DataLossError(
+          absl::StrCat(reader_.remaining(), " bytes too many"));
+    }
+    return Annotate(status_, record);
+  }
+
+ private:
+  template <typename T>
+  void Store(absl::StatusOr<T> taken, T& value) {
+    if (!status_.ok()) return;
+    if (taken.ok()) {
+      value = *std::move(taken);
+    } else {
+      status_ = taken.status();
+    }
+  }
+
+  ByteReader reader_;
+  absl::Status status_;
+};
+
+template <typename V, typename T>
+void VisitPoint(V& v, const char* name, T& point) {
+  v.Field(name, point.x);
+  v.Field(name, point.y);
+  v.Field(name, point.z);
+}
+
+template <typename V, typename T>
+void VisitCounts(V& v, const char* name, T& counts) {
+  for (auto& count : counts) v.Field(name, count);
+}
+
+// `T` is the record, const for a writer.
+
+template <typename V, typename T>
+void VisitOptions(V& v, T& options) {
+  v.Field("neighbor_count", options.neighbor_count);
+  v.Field("vote_scale_m2", options.vote_scale_m2);
+  v.Field("density_radius_m", options.density_radius_m);
+  v.Field("reach_m", options.reach_m);
+  v.Field("max_round_count", options.max_round_count);
+  v.Field("rule", options.rule);
+  v.Field("seed", options.seed);
+  v.Field("outlier_share", options.outlier_share);
+}
+
+template <typename V, typename T>
+void VisitUploadReport(V& v, T& report) {
+  v.Field("revision", report.revision);
+  v.Field("added_point_count", report.added_point_count);
+  v.Field("refused.non_finite", report.refused.non_finite);
+  v.Field("refused.out_of_lattice", report.refused.out_of_lattice);
+  v.Field("block_count", report.block_count);
+  v.Field("tile_count", report.tile_count);
+  if (v.Presence("has_bounds", report.bounds.has_value())) {
+    if constexpr (!std::is_const_v<T>) report.bounds.emplace();
+    VisitPoint(v, "bounds.min", report.bounds->min);
+    VisitPoint(v, "bounds.max", report.bounds->max);
+  }
+}
+
+template <typename V, typename T>
+void VisitProcessReport(V& v, T& report) {
+  v.Field("revision", report.revision);
+  v.Field("distinct_point_count", report.distinct_point_count);
+  v.Field("point_count", report.point_count);
+  VisitCounts(v, "label_counts", report.label_counts);
+  v.Field("outlier_count", report.outlier_count);
+  v.Field("round_count", report.round_count);
+}
+
+template <typename V, typename T>
+void VisitJobSpec(V& v, T& spec) {
+  v.Field("map_uid", spec.map_uid);
+  if (v.Presence("is_upload", spec.verb == OperationVerb::kFinalizeUpload)) {
+    if constexpr (!std::is_const_v<T>) {
+      spec.verb = OperationVerb::kFinalizeUpload;
+    }
+    v.Field("upload_id", spec.upload_id);
+    v.Field("upload_uid", spec.upload_uid);
+  } else {
+    VisitOptions(v, spec.options);
+  }
+}
+
+/// Visits the result if it is an `R`, or is to be one.
+template <typename R, typename V, typename T, typename Visit>
+void VisitResult(V& v, const char* name, T& outcome, const Visit& visit) {
+  if (!v.Presence(name, std::holds_alternative<R>(outcome.result))) return;
+  if constexpr (!std::is_const_v<T>) outcome.result.template emplace<R>();
+  visit(v, std::get<R>(outcome.result));
+}
+
+template <typename V, typename T>
+void VisitOutcome(V& v, T& outcome) {
+  int64_t start_us = absl::ToUnixMicros(outcome.start_time);
+  v.Field("start_time", start_us);
+  if constexpr (!std::is_const_v<T>) {
+    outcome.start_time = absl::FromUnixMicros(start_us);
+  }
+  VisitResult<UploadReport>(
+      v, "is_upload_report", outcome,
+      [](auto& w, auto& report) { VisitUploadReport(w, report); });
+  VisitResult<ProcessReport>(
+      v, "is_process_report", outcome,
+      [](auto& w, auto& report) { VisitProcessReport(w, report); });
+}
+
+template <typename T, typename Visit>
+std::string Format(const T& record, const Visit& visit) {
+  Writer writer;
+  visit(writer, record);
+  return std::move(writer).Text();
+}
+
+template <typename T, typename Visit>
+absl::StatusOr<T> Parse(std::string_view bytes, std::string_view name,
+                        const Visit& visit) {
+  T record;
+  Reader reader(bytes);
+  visit(reader, record);
+  MAPSIEVE_RETURN_IF_ERROR(reader.Finish(name));
+  return record;
+}
+
+constexpr auto kOptions = [](auto& v, auto& r) { VisitOptions(v, r); };
+constexpr auto kUpload = [](auto& v, auto& r) { VisitUploadReport(v, r); };
+constexpr auto kProcess = [](auto& v, auto& r) { VisitProcessReport(v, r); };
+constexpr auto kSpec = [](auto& v, auto& r) { VisitJobSpec(v, r); };
+constexpr auto kOutcome = [](auto& v, auto& r) { VisitOutcome(v, r); };
+
+}  // namespace
+
+std::string FormatSpdfOptions(const core::SpdfOptions& options) {
+  return Format(options, kOptions);
+}
+absl::StatusOr<core::SpdfOptions> ParseSpdfOptions(std::string_view bytes) {
+  return Parse<core::SpdfOptions>(bytes, "stored filter options", kOptions);
+}
+
+std::string FormatUploadReport(const UploadReport& report) {
+  return Format(report, kUpload);
+}
+absl::StatusOr<UploadReport> ParseUploadReport(std::string_view bytes) {
+  return Parse<UploadReport>(bytes, "stored report of an upload", kUpload);
+}
+
+std::string FormatProcessReport(const ProcessReport& report) {
+  return Format(report, kProcess);
+}
+absl::StatusOr<ProcessReport> ParseProcessReport(std::string_view bytes) {
+  return Parse<ProcessReport>(bytes, "stored report of a run", kProcess);
+}
+
+std::string FormatJobSpec(const JobSpec& spec) { return Format(spec, kSpec); }
+absl::StatusOr<JobSpec> ParseJobSpec(std::string_view bytes) {
+  return Parse<JobSpec>(bytes, "stored request of an operation", kSpec);
+}
+
+std::string FormatJobOutcome(const JobOutcome& outcome) {
+  return Format(outcome, kOutcome);
+}
+absl::StatusOr<JobOutcome> ParseJobOutcome(std::string_view bytes) {
+  return Parse<JobOutcome>(bytes, "stored outcome of an operation", kOutcome);
+}
+
+}  // namespace mapsieve::engine

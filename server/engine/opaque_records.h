@@ -1,0 +1,54 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_OPAQUE_RECORDS_H_
+#define MAPSIEVE_SERVER_ENGINE_OPAQUE_RECORDS_H_
+
+#include <string>
+#include <string_view>
+#include <variant>
+
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "core/spdf/spdf_options.h"
+#include "server/engine/types.h"
+
+/// The engine's own records in the catalogue, which stores them without
+/// looking inside: little-endian fields behind a byte that says the version.
+/// The parsers give kDataLoss, naming the record and the field, for bytes that
+/// are none. opaque_records.cc is the byte table.
+namespace mapsieve::engine {
+
+std::string FormatSpdfOptions(const core::SpdfOptions& options);
+absl::StatusOr<core::SpdfOptions> ParseSpdfOptions(std::string_view bytes);
+
+std::string FormatUploadReport(const UploadReport& report);
+absl::StatusOr<UploadReport> ParseUploadReport(std::string_view bytes);
+
+std::string FormatProcessReport(const ProcessReport& report);
+absl::StatusOr<ProcessReport> ParseProcessReport(std::string_view bytes);
+
+/// What an operation is to do.
+struct JobSpec {
+  OperationVerb verb = OperationVerb::kProcessMap;
+  std::string map_uid;
+  /// Of kFinalizeUpload.
+  std::string upload_id;
+  std::string upload_uid;
+  /// Of kProcessMap.
+  core::SpdfOptions options;
+
+  friend bool operator==(const JobSpec&, const JobSpec&) = default;
+};
+std::string FormatJobSpec(const JobSpec& spec);
+absl::StatusOr<JobSpec> ParseJobSpec(std::string_view bytes);
+
+/// What an operation answers besides its state; nothing before it succeeded.
+using JobResult = std::variant<std::monostate, UploadReport, ProcessReport>;
+struct JobOutcome {
+  absl::Time start_time;
+  JobResult result;
+};
+std::string FormatJobOutcome(const JobOutcome& outcome);
+absl::StatusOr<JobOutcome> ParseJobOutcome(std::string_view bytes);
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_OPAQUE_RECORDS_H_

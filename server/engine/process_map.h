@@ -1,0 +1,42 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_PROCESS_MAP_H_
+#define MAPSIEVE_SERVER_ENGINE_PROCESS_MAP_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "core/base/executor.h"
+#include "core/spdf/spdf_options.h"
+#include "server/engine/types.h"
+#include "storage/store.h"
+
+namespace mapsieve::engine {
+
+/// How a run of the filter divides its memory.
+struct ProcessLimits {
+  /// Points of a unit of tiles that are filtered together.
+  int64_t unit_points = 0;
+  /// Answers that wait to be written.
+  int64_t pending_bytes = 0;
+  /// Of a decoded chunk.
+  int64_t chunk_bytes = 0;
+
+  static ProcessLimits Of(int64_t memory_bytes);
+};
+
+/// Filters the newest revision of the map `map_id`, if its uid is still
+/// `map_uid`, and commits the result as one new revision. Does nothing but tell
+/// the report of before if that is the result for these points and options.
+/// After an error the map is as before. Memory: about `limits`, except that one
+/// tile with its surroundings always is there. `io` stores chunks,
+/// `context.executor` filters. Progress: visits of tiles. Errors as
+/// Engine::ProcessMap has them for the operation; kFailedPrecondition: no
+/// points; kAborted: the map changed meanwhile.
+absl::StatusOr<ProcessReport> ProcessStoredMap(
+    storage::Store& store, const std::string& map_id,
+    const std::string& map_uid, const core::SpdfOptions& options,
+    const ProcessLimits& limits, Executor& io, const ExecutionContext& context);
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_PROCESS_MAP_H_

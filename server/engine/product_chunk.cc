@@ -1,0 +1,83 @@
+#include "server/engine/product_chunk.h"
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/base/status.h"
+
+namespace mapsieve::engine {
+namespace {
+
+using core::Column;
+using core::LabelColumns;
+using core::LatticeCloud;
+using core::ScalarType;
+
+template <typename T, typename Values>
+Column MakeColumn(std::string_view name, const LabelColumns& labels,
+                  const Values& value_of) {
+  Column column({std::string(name), core::ScalarTypeOf<T>()}, labels.size());
+  for (size_t i = 0; i < labels.size(); ++i) column.Set<T>(i, value_of(i));
+  return column;
+}
+
+}  // namespace
+
+LatticeCloud MakeProductCloud(LatticeCloud points, const LabelColumns& labels) {
+  std::vector<Column> columns;
+  columns.push_back(MakeColumn<uint8_t>(kLabelColumn, labels, [&](size_t i) {
+    return static_cast<uint8_t>(labels.label[i]);
+  }));
+  columns.push_back(
+      MakeColumn<uint16_t>(kConfidenceColumn, labels,
+                           [&](size_t i) { return labels.confidence[i]; }));
+  for (size_t l = 0; l < kLambdaColumns.size(); ++l) {
+    columns.push_back(
+        MakeColumn<float>(kLambdaColumns[l], labels,
+                          [&](size_t i) { return labels.lambda[i][l]; }));
+  }
+  columns.push_back(MakeColumn<uint32_t>(
+      kNormalColumn, labels, [&](size_t i) { return labels.normal[i]; }));
+  columns.push_back(MakeColumn<uint32_t>(
+      kTangentColumn, labels, [&](size_t i) { return labels.tangent[i]; }));
+  for (Column& column : points.attributes.columns()) {
+    columns.push_back(std::move(column));
+  }
+  points.attributes.columns() = std::move(columns);
+  return points;
+}
+
+absl::StatusOr<const Column*> FindProductColumn(const LatticeCloud& points,
+                                                std::string_view name,
+                                                ScalarType type) {
+  const Column* column = points.attributes.Find(name);
+  if (column == nullptr || column->type() != type) {
+    return absl::DataLossError(absl::StrCat(
+        "column ", ToAbsl(name), " of a product chunk: expected ",
+        ToAbsl(core::ScalarTypeName(type)), ", found ",
+        column == nullptr ? "none"
+                          : ToAbsl(core::ScalarTypeName(column->type()))));
+  }
+  return column;
+}
+
+absl::StatusOr<core::LabelCounts> CountLabels(const LatticeCloud& points) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Column* const column,
+      FindProductColumn(points, kLabelColumn, ScalarType::kUint8));
+  core::LabelCounts counts{};
+  for (size_t i = 0; i < points.size(); ++i) {
+    const auto label = column->Get<uint8_t>(i);
+    if (label >= core::kLabelCount) {
+      return absl::DataLossError(absl::StrCat(
+          "label of point ", i, " of a product chunk: expected at most ",
+          core::kLabelCount - 1, ", found ", label));
+    }
+    ++counts[label];
+  }
+  return counts;
+}
+
+}  // namespace mapsieve::engine

@@ -1,0 +1,23 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_REGION_QUERY_H_
+#define MAPSIEVE_SERVER_ENGINE_REGION_QUERY_H_
+
+#include <memory>
+#include <stop_token>
+
+#include "absl/status/statusor.h"
+#include "server/engine/memory_pool.h"
+#include "server/engine/query.h"
+#include "storage/store.h"
+
+namespace mapsieve::engine {
+
+/// Engine::Query. `memory` is what all queries may hold together; both
+/// references outlive the cursor.
+absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(storage::Store& store,
+                                                       MemoryPool& memory,
+                                                       const QuerySpec& spec,
+                                                       std::stop_token stop);
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_REGION_QUERY_H_
