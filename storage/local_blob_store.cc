@@ -1,7 +1,7 @@
 #include "storage/local_blob_store.h"
 
-#include <array>
 #include <atomic>
+#include <set>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -13,21 +13,11 @@
 namespace mapsieve::storage {
 namespace {
 
-constexpr int kFolderCount = 256;
-// No folder of blobs has this name.
 constexpr char kTemporaryFolder[] = "tmp";
+// Blobs lie in folders named by so many digits of their ids.
+constexpr size_t kFolderDigits = 2;
 
-std::string FolderName(int index) {
-  constexpr char kDigits[] = "0123456789abcdef";
-  return {kDigits[index >> 4], kDigits[index & 15]};
-}
-
-int HexDigit(char c) { return c <= '9' ? c - '0' : c - 'a' + 10; }
-
-// `id` is a hexadecimal id.
-int FolderIndex(const BlobId& id) {
-  return HexDigit(id[0]) << 4 | HexDigit(id[1]);
-}
+std::string FolderName(const BlobId& id) { return id.substr(0, kFolderDigits); }
 
 absl::Status CheckId(const BlobId& id) {
   if (IsHexId(id)) return absl::OkStatus();
@@ -69,7 +59,7 @@ class LocalBlobStore final : public BlobStore {
       return id;
     }
     MAPSIEVE_RETURN_IF_ERROR(reserve_.Check(size));
-    MAPSIEVE_RETURN_IF_ERROR(MakeFolder(FolderIndex(id)));
+    MAPSIEVE_RETURN_IF_ERROR(MakeFolder(FolderName(id)));
     const std::string temporary = absl::StrCat(
         directory_, "/", kTemporaryFolder, "/", temporary_count_++);
     absl::Status status = WriteFile(temporary, bytes);
@@ -133,15 +123,18 @@ class LocalBlobStore final : public BlobStore {
       return absl::InvalidArgumentError(
           absl::StrCat("page of ", max_count, " blobs: at least 1"));
     }
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::string> folders,
+                              file_system_.List(directory_));
     std::vector<BlobId> ids;
-    for (int folder = after.empty() ? 0 : FolderIndex(after);
-         folder < kFolderCount; ++folder) {
-      const auto names =
-          file_system_.List(JoinPath(directory_, FolderName(folder)));
-      if (absl::IsNotFound(names.status())) continue;
-      MAPSIEVE_RETURN_IF_ERROR(names.status());
-      for (const std::string& name : *names) {
-        if (!IsHexId(name) || FolderIndex(name) != folder || name <= after) {
+    for (const std::string& folder : folders) {
+      if (folder.size() != kFolderDigits || folder < FolderName(after)) {
+        continue;
+      }
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          const std::vector<std::string> names,
+          file_system_.List(JoinPath(directory_, folder)));
+      for (const std::string& name : names) {
+        if (!IsHexId(name) || !name.starts_with(folder) || name <= after) {
           continue;
         }
         ids.push_back(name);
@@ -153,7 +146,7 @@ class LocalBlobStore final : public BlobStore {
 
  private:
   std::string FolderOf(const BlobId& id) const {
-    return JoinPath(directory_, FolderName(FolderIndex(id)));
+    return JoinPath(directory_, FolderName(id));
   }
   std::string PathOf(const BlobId& id) const {
     return JoinPath(FolderOf(id), id);
@@ -164,13 +157,13 @@ class LocalBlobStore final : public BlobStore {
     return file_system_.Open(PathOf(id), OpenMode::kRead);
   }
 
-  absl::Status MakeFolder(int index) {
+  absl::Status MakeFolder(const std::string& name) {
     // Nobody may find a folder there whose own entry is not durable yet.
     MutexLock lock(mutex_);
-    if (made_[static_cast<size_t>(index)]) return absl::OkStatus();
+    if (made_.contains(name)) return absl::OkStatus();
     MAPSIEVE_RETURN_IF_ERROR(
-        file_system_.MakeDirectories(JoinPath(directory_, FolderName(index))));
-    made_[static_cast<size_t>(index)] = true;
+        file_system_.MakeDirectories(JoinPath(directory_, name)));
+    made_.insert(name);
     return absl::OkStatus();
   }
 
@@ -187,7 +180,7 @@ class LocalBlobStore final : public BlobStore {
   const SpaceReserve& reserve_;
   std::atomic<int64_t> temporary_count_ = 0;
   Mutex mutex_;
-  std::array<bool, kFolderCount> made_ ABSL_GUARDED_BY(mutex_) = {};
+  std::set<std::string> made_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace
