@@ -1,0 +1,470 @@
+#include "server/rpc/convert.h"
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "absl/time/time.h"
+#include "core/base/bytes.h"
+#include "core/base/hash.h"
+#include "core/base/status.h"
+#include "mapsieve/v1/processing_service.pb.h"
+#include "server/rpc/status_adapter.h"
+
+namespace mapsieve::rpc {
+namespace {
+
+constexpr size_t kMaxDataBytes = size_t{1} << 20;
+constexpr size_t kMaxQuotedBytes = 80;
+constexpr size_t kMaxColumnNameBytes = 255;
+
+// The segments of `name` between slashes, if there are `count` of them and the
+// even ones are those of `pattern`; nothing otherwise.
+template <size_t count>
+std::optional<std::array<std::string_view, count>> Match(
+    std::string_view name, const std::array<std::string_view, count>& pattern) {
+  std::array<std::string_view, count> segments;
+  for (size_t i = 0; i < count; ++i) {
+    const size_t slash = i + 1 < count ? name.find('/') : name.size();
+    if (slash == std::string_view::npos) return std::nullopt;
+    segments[i] = name.substr(0, slash);
+    if (segments[i].empty() || segments[i].find('/') != segments[i].npos ||
+        (!pattern[i].empty() && segments[i] != pattern[i])) {
+      return std::nullopt;
+    }
+    name.remove_prefix(std::min(name.size(), slash + 1));
+  }
+  return segments;
+}
+
+absl::Status WrongName(std::string_view field, std::string_view name,
+                       const char* form) {
+  return InvalidField(field,
+                      absl::StrCat("expected \"", form, "\", have \"",
+                                   CleanText(name, kMaxQuotedBytes), "\""));
+}
+
+google::protobuf::Timestamp ToTimestamp(absl::Time time) {
+  const int64_t seconds = absl::ToUnixSeconds(time);
+  google::protobuf::Timestamp result;
+  result.set_seconds(seconds);
+  result.set_nanos(static_cast<int32_t>(
+      absl::ToInt64Nanoseconds(time - absl::FromUnixSeconds(seconds))));
+  return result;
+}
+
+v1::Vector3 ToVector(const core::Point3& point) {
+  v1::Vector3 result;
+  result.set_x(point.x);
+  result.set_y(point.y);
+  result.set_z(point.z);
+  return result;
+}
+
+v1::Box ToBox(const engine::Bounds& bounds) {
+  v1::Box result;
+  *result.mutable_min() = ToVector(bounds.min);
+  *result.mutable_max() = ToVector(bounds.max);
+  return result;
+}
+
+core::Point3 FromVector(const v1::Vector3& vector) {
+  return {vector.x(), vector.y(), vector.z()};
+}
+
+absl::StatusOr<std::optional<engine::RegionShape>> ToRegion(
+    const v1::QueryRegionRequest& request) {
+  switch (request.region_case()) {
+    case v1::QueryRegionRequest::kBox: {
+      const v1::Box& box = request.box();
+      if (!box.has_min()) return InvalidField("box.min", "missing");
+      if (!box.has_max()) return InvalidField("box.max", "missing");
+      return engine::Box{FromVector(box.min()), FromVector(box.max())};
+    }
+    case v1::QueryRegionRequest::kSphere: {
+      const v1::Sphere& sphere = request.sphere();
+      if (!sphere.has_center()) return InvalidField("sphere.center", "missing");
+      return engine::Sphere{FromVector(sphere.center()), sphere.radius()};
+    }
+    case v1::QueryRegionRequest::REGION_NOT_SET:
+      break;
+  }
+  return std::nullopt;
+}
+
+absl::StatusOr<engine::ColumnSelection> ToColumnSelection(
+    const v1::ColumnSelection& columns) {
+  engine::ColumnSelection result;
+  for (int i = 0; i < columns.filter_columns_size(); ++i) {
+    switch (columns.filter_columns(i)) {
+      case v1::FILTER_COLUMN_LABEL:
+        result.label = true;
+        break;
+      case v1::FILTER_COLUMN_CONFIDENCE:
+        result.confidence = true;
+        break;
+      case v1::FILTER_COLUMN_NORMAL:
+        result.normal = true;
+        break;
+      case v1::FILTER_COLUMN_TANGENT:
+        result.tangent = true;
+        break;
+      case v1::FILTER_COLUMN_EIGENVALUES:
+        result.eigenvalues = true;
+        break;
+      default:
+        return InvalidField(
+            absl::StrCat("columns.filter_columns[", i, "]"),
+            absl::StrCat("no column has the number ",
+                         static_cast<int>(columns.filter_columns(i))));
+    }
+  }
+  result.attributes.assign(columns.attributes().begin(),
+                           columns.attributes().end());
+  result.all_attributes = columns.all_attributes();
+  return result;
+}
+
+}  // namespace
+
+absl::StatusOr<std::string> ParseMapName(std::string_view field,
+                                         std::string_view name) {
+  const auto segments = Match<2>(name, {"maps", ""});
+  if (!segments) return WrongName(field, name, "maps/{map}");
+  return std::string((*segments)[1]);
+}
+
+absl::StatusOr<std::string> ParseStatsName(std::string_view field,
+                                           std::string_view name) {
+  const auto segments = Match<3>(name, {"maps", "", "stats"});
+  if (!segments) return WrongName(field, name, "maps/{map}/stats");
+  return std::string((*segments)[1]);
+}
+
+absl::StatusOr<std::string> ParseOperationName(std::string_view field,
+                                               std::string_view name) {
+  const auto segments = Match<2>(name, {"operations", ""});
+  if (!segments) return WrongName(field, name, "operations/{operation}");
+  return std::string((*segments)[1]);
+}
+
+absl::StatusOr<UploadName> ParseUploadName(std::string_view field,
+                                           std::string_view name) {
+  const auto segments = Match<4>(name, {"maps", "", "uploads", ""});
+  if (!segments) return WrongName(field, name, "maps/{map}/uploads/{upload}");
+  return UploadName{std::string((*segments)[1]), std::string((*segments)[3])};
+}
+
+engine::MapSpec ToMapSpec(const v1::CreateMapRequest& request) {
+  return {
+      .map_id = request.map_id(),
+      .step_nm =
+          request.step_nm() == 0 ? core::kDefaultStepNm : request.step_nm(),
+      .tile_edge = request.tile_edge(),
+      .display_name = request.display_name(),
+      .crs_wkt = request.crs_wkt(),
+  };
+}
+
+absl::StatusOr<engine::UploadSpec> ToUploadSpec(
+    const v1::CreateUploadRequest& request) {
+  if (!request.has_upload()) return InvalidField("upload", "missing");
+  const v1::Upload& upload = request.upload();
+  return engine::UploadSpec{
+      .upload_id = request.upload_id(),
+      .expected_bytes = upload.expected_bytes(),
+      .content_hash = upload.content_hash(),
+      .refused = {.non_finite = upload.refused_non_finite_count(),
+                  .out_of_lattice = upload.refused_out_of_lattice_count()},
+  };
+}
+
+absl::StatusOr<core::SpdfOptions> ToSpdfOptions(
+    const v1::SpdfOptions& options) {
+  core::SpdfOptions result;
+  if (options.has_vote_scale_m2()) {
+    result.vote_scale_m2 = options.vote_scale_m2();
+  }
+  if (options.has_density_radius_m()) {
+    result.density_radius_m = options.density_radius_m();
+  }
+  if (options.has_neighbor_count()) {
+    result.neighbor_count = options.neighbor_count();
+  }
+  if (options.has_reach_m()) result.reach_m = options.reach_m();
+  if (options.has_max_round_count()) {
+    result.max_round_count = options.max_round_count();
+  }
+  if (options.has_rule()) {
+    switch (options.rule()) {
+      case v1::DENSITY_RULE_PAPER:
+        result.rule = core::DensityRule::kPaper;
+        break;
+      case v1::DENSITY_RULE_QUOTA:
+        result.rule = core::DensityRule::kQuota;
+        break;
+      default:
+        return InvalidField("options.rule",
+                            absl::StrCat("no rule has the number ",
+                                         static_cast<int>(options.rule())));
+    }
+  }
+  if (options.has_seed()) result.seed = options.seed();
+  if (options.has_outlier_share()) {
+    result.outlier_share = options.outlier_share();
+  }
+  return result;
+}
+
+absl::StatusOr<engine::QuerySpec> ToQuerySpec(
+    const v1::QueryRegionRequest& request) {
+  engine::QuerySpec spec;
+  MAPSIEVE_ASSIGN_OR_RETURN(spec.map_id, ParseMapName("name", request.name()));
+  spec.revision = request.revision();
+  MAPSIEVE_ASSIGN_OR_RETURN(spec.region, ToRegion(request));
+  for (int i = 0; i < request.labels_size(); ++i) {
+    const v1::Label label = request.labels(i);
+    if (label < v1::LABEL_JUNCTION || label > v1::LABEL_SURFACE) {
+      return InvalidField(
+          absl::StrCat("labels[", i, "]"),
+          absl::StrCat("no label has the number ", static_cast<int>(label)));
+    }
+    const auto wanted = static_cast<core::Label>(label);
+    if (std::find(spec.labels.begin(), spec.labels.end(), wanted) ==
+        spec.labels.end()) {
+      spec.labels.push_back(wanted);
+    }
+  }
+  spec.max_points = request.max_point_count();
+  if (request.has_columns()) {
+    MAPSIEVE_ASSIGN_OR_RETURN(spec.columns,
+                              ToColumnSelection(request.columns()));
+  }
+  spec.raw = request.raw();
+  switch (request.representative()) {
+    case v1::REPRESENTATIVE_UNSPECIFIED:
+    case v1::REPRESENTATIVE_NEAREST:
+      break;
+    case v1::REPRESENTATIVE_CENTROID:
+      spec.representative = engine::Representative::kCentroid;
+      break;
+    default:
+      return InvalidField(
+          "representative",
+          absl::StrCat("no choice has the number ",
+                       static_cast<int>(request.representative())));
+  }
+  return spec;
+}
+
+absl::StatusOr<std::string_view> CheckedContent(
+    std::string_view field, const v1::ChecksummedData& data) {
+  const std::string& content = data.content();
+  if (content.empty() || content.size() > kMaxDataBytes) {
+    return InvalidField(absl::StrCat(ToAbsl(field), ".content"),
+                        absl::StrCat("expected 1 to ", kMaxDataBytes,
+                                     " bytes, have ", content.size()));
+  }
+  if (!data.has_xxh3_64()) {
+    return InvalidField(absl::StrCat(ToAbsl(field), ".xxh3_64"), "missing");
+  }
+  const uint64_t actual = Hash64(TextBytes(content));
+  if (actual != data.xxh3_64()) {
+    return WithReason(
+        absl::DataLossError(absl::StrCat(
+            ToAbsl(field), ".content: expected the checksum ",
+            absl::Hex(data.xxh3_64(), absl::kZeroPad16), ", have ",
+            absl::Hex(actual, absl::kZeroPad16),
+            "; the bytes were damaged on the way: send them again")),
+        "CHECKSUM_MISMATCH", {{"field", std::string(field)}});
+  }
+  return content;
+}
+
+v1::Map ToProto(const engine::MapInfo& map) {
+  v1::Map result;
+  result.set_name(absl::StrCat("maps/", map.map_id));
+  result.set_uid(map.uid);
+  result.set_display_name(map.display_name);
+  result.set_step_nm(map.step_nm);
+  result.set_tile_level(map.tile_level);
+  result.set_crs_wkt(map.crs_wkt);
+  result.set_revision(map.revision);
+  result.set_processed_revision(map.processed_revision);
+  *result.mutable_create_time() = ToTimestamp(map.create_time);
+  *result.mutable_update_time() = ToTimestamp(map.update_time);
+  return result;
+}
+
+v1::MapStats ToProto(std::string_view map_id, const engine::MapStats& stats) {
+  v1::MapStats result;
+  result.set_name(absl::StrCat("maps/", ToAbsl(map_id), "/stats"));
+  result.set_revision(stats.revision);
+  result.set_processed_revision(stats.processed_revision);
+  result.set_raw_point_count(stats.raw_point_count);
+  result.set_point_count(stats.point_count);
+  *result.mutable_label_counts() = ToProto(stats.label_counts);
+  result.set_outlier_count(stats.outlier_count);
+  result.set_stored_bytes(stats.stored_bytes);
+  result.set_tile_count(stats.tile_count);
+  result.set_stale_tile_count(stats.stale_tile_count);
+  if (stats.bounds) *result.mutable_bounds() = ToBox(*stats.bounds);
+  for (const core::ColumnSpec& column : stats.attributes) {
+    *result.add_attributes() = ToProto(column);
+  }
+  if (stats.options) *result.mutable_options() = ToProto(*stats.options);
+  return result;
+}
+
+v1::Revision ToProto(const engine::RevisionInfo& revision) {
+  v1::Revision result;
+  result.set_number(revision.number);
+  switch (revision.kind) {
+    case engine::RevisionKind::kCreate:
+      result.set_kind(v1::Revision::KIND_CREATE);
+      break;
+    case engine::RevisionKind::kUpload:
+      result.set_kind(v1::Revision::KIND_UPLOAD);
+      break;
+    case engine::RevisionKind::kProcess:
+      result.set_kind(v1::Revision::KIND_PROCESS);
+      break;
+  }
+  *result.mutable_create_time() = ToTimestamp(revision.create_time);
+  result.set_raw_point_count(revision.raw_point_count);
+  result.set_processed_revision(revision.processed_revision);
+  return result;
+}
+
+v1::Upload ToProto(std::string_view map_id, const engine::UploadInfo& upload) {
+  v1::Upload result;
+  result.set_name(absl::StrCat("maps/", ToAbsl(map_id), "/uploads/",
+                               upload.spec.upload_id));
+  switch (upload.state) {
+    case engine::UploadState::kActive:
+      result.set_state(v1::Upload::STATE_ACTIVE);
+      break;
+    case engine::UploadState::kFinalizing:
+      result.set_state(v1::Upload::STATE_FINALIZING);
+      break;
+    case engine::UploadState::kFinalized:
+      result.set_state(v1::Upload::STATE_FINALIZED);
+      break;
+    case engine::UploadState::kFailed:
+      result.set_state(v1::Upload::STATE_FAILED);
+      break;
+  }
+  result.set_expected_bytes(upload.spec.expected_bytes);
+  result.set_content_hash(upload.spec.content_hash);
+  result.set_refused_non_finite_count(upload.spec.refused.non_finite);
+  result.set_refused_out_of_lattice_count(upload.spec.refused.out_of_lattice);
+  result.set_committed_bytes(upload.committed_bytes);
+  *result.mutable_create_time() = ToTimestamp(upload.create_time);
+  if (upload.report) *result.mutable_report() = ToProto(*upload.report);
+  return result;
+}
+
+v1::UploadReport ToProto(const engine::UploadReport& report) {
+  v1::UploadReport result;
+  result.set_revision(report.revision);
+  result.set_added_point_count(report.added_point_count);
+  result.set_refused_non_finite_count(report.refused.non_finite);
+  result.set_refused_out_of_lattice_count(report.refused.out_of_lattice);
+  result.set_block_count(report.block_count);
+  result.set_tile_count(report.tile_count);
+  if (report.bounds) *result.mutable_bounds() = ToBox(*report.bounds);
+  return result;
+}
+
+v1::Operation ToProto(const engine::Operation& operation) {
+  v1::OperationMetadata metadata;
+  std::string target = absl::StrCat("maps/", operation.map_id);
+  switch (operation.verb) {
+    case engine::OperationVerb::kFinalizeUpload:
+      absl::StrAppend(&target, "/uploads/", operation.upload_id);
+      metadata.set_verb("FinalizeUpload");
+      break;
+    case engine::OperationVerb::kProcessMap:
+      metadata.set_verb("ProcessMap");
+      break;
+  }
+  metadata.set_target(std::move(target));
+  *metadata.mutable_create_time() = ToTimestamp(operation.create_time);
+  if (operation.start_time) {
+    *metadata.mutable_start_time() = ToTimestamp(*operation.start_time);
+  }
+  if (operation.end_time) {
+    *metadata.mutable_end_time() = ToTimestamp(*operation.end_time);
+  }
+  metadata.set_done_work(operation.done_work);
+  metadata.set_total_work(operation.total_work);
+  metadata.set_cancel_requested(operation.cancel_requested);
+
+  v1::Operation result;
+  result.set_name(absl::StrCat("operations/", operation.operation_id));
+  result.mutable_metadata()->PackFrom(metadata);
+  result.set_done(operation.done());
+  if (!operation.done()) return result;
+  if (operation.upload_report) {
+    v1::FinalizeUploadResponse response;
+    *response.mutable_report() = ToProto(*operation.upload_report);
+    result.mutable_response()->PackFrom(response);
+  } else if (operation.process_report) {
+    const engine::ProcessReport& report = *operation.process_report;
+    v1::ProcessMapResponse response;
+    response.set_revision(report.revision);
+    response.set_distinct_point_count(report.distinct_point_count);
+    response.set_point_count(report.point_count);
+    *response.mutable_label_counts() = ToProto(report.label_counts);
+    response.set_outlier_count(report.outlier_count);
+    response.set_round_count(report.round_count);
+    result.mutable_response()->PackFrom(response);
+  } else {
+    *result.mutable_error() = ToRpcStatus(operation.error);
+  }
+  return result;
+}
+
+v1::SpdfOptions ToProto(const core::SpdfOptions& options) {
+  v1::SpdfOptions result;
+  result.set_vote_scale_m2(options.vote_scale_m2);
+  result.set_density_radius_m(options.density_radius_m);
+  result.set_neighbor_count(options.neighbor_count);
+  result.set_reach_m(options.reach_m);
+  result.set_max_round_count(options.max_round_count);
+  switch (options.rule) {
+    case core::DensityRule::kPaper:
+      result.set_rule(v1::DENSITY_RULE_PAPER);
+      break;
+    case core::DensityRule::kQuota:
+      result.set_rule(v1::DENSITY_RULE_QUOTA);
+      break;
+  }
+  result.set_seed(options.seed);
+  result.set_outlier_share(options.outlier_share);
+  return result;
+}
+
+v1::LabelCounts ToProto(const core::LabelCounts& counts) {
+  const auto count = [&](core::Label label) {
+    return counts[static_cast<size_t>(label)];
+  };
+  v1::LabelCounts result;
+  result.set_none(count(core::Label::kNone));
+  result.set_junction(count(core::Label::kJunction));
+  result.set_curve(count(core::Label::kCurve));
+  result.set_surface(count(core::Label::kSurface));
+  return result;
+}
+
+v1::ColumnSpec ToProto(const core::ColumnSpec& column) {
+  v1::ColumnSpec result;
+  result.set_name(CleanText(column.name, kMaxColumnNameBytes));
+  result.set_type(static_cast<v1::ScalarType>(column.type));
+  return result;
+}
+
+}  // namespace mapsieve::rpc

@@ -1,0 +1,90 @@
+#include "server/rpc/map_service.h"
+
+#include <utility>
+
+#include "core/base/status.h"
+#include "server/rpc/convert.h"
+
+namespace mapsieve::rpc {
+
+grpc::ServerUnaryReactor* MapService::CreateMap(
+    grpc::CallbackServerContext* context, const v1::CreateMapRequest* request,
+    v1::Map* response) {
+  return RunUnary(calls_, "CreateMap", context, [=, this]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto map,
+                              engine_.CreateMap(ToMapSpec(*request)));
+    *response = ToProto(map);
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* MapService::GetMap(
+    grpc::CallbackServerContext* context, const v1::GetMapRequest* request,
+    v1::Map* response) {
+  return RunUnary(calls_, "GetMap", context, [=, this]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto map_id,
+                              ParseMapName("name", request->name()));
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto map, engine_.GetMap(map_id));
+    *response = ToProto(map);
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* MapService::ListMaps(
+    grpc::CallbackServerContext* context, const v1::ListMapsRequest* request,
+    v1::ListMapsResponse* response) {
+  return RunUnary(calls_, "ListMaps", context, [=, this]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(auto page,
+                              engine_.ListMaps(ToPageRequest(*request)));
+    for (const engine::MapInfo& map : page.items) {
+      v1::Map& item = *response->add_maps();
+      item = ToProto(map);
+      // A page of them could exceed what a client receives.
+      item.clear_crs_wkt();
+    }
+    response->set_next_page_token(std::move(page.next_page_token));
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* MapService::DeleteMap(
+    grpc::CallbackServerContext* context, const v1::DeleteMapRequest* request,
+    google::protobuf::Empty* /*response*/) {
+  return RunUnary(calls_, "DeleteMap", context, [=, this]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto map_id,
+                              ParseMapName("name", request->name()));
+    return engine_.DeleteMap(map_id, request->force());
+  });
+}
+
+grpc::ServerUnaryReactor* MapService::GetMapStats(
+    grpc::CallbackServerContext* context, const v1::GetMapStatsRequest* request,
+    v1::MapStats* response) {
+  return RunUnary(calls_, "GetMapStats", context, [=, this]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto map_id,
+                              ParseStatsName("name", request->name()));
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto stats, engine_.GetMapStats(map_id));
+    *response = ToProto(map_id, stats);
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* MapService::ListRevisions(
+    grpc::CallbackServerContext* context,
+    const v1::ListRevisionsRequest* request,
+    v1::ListRevisionsResponse* response) {
+  return RunUnary(
+      calls_, "ListRevisions", context, [=, this]() -> absl::Status {
+        MAPSIEVE_ASSIGN_OR_RETURN(const auto map_id,
+                                  ParseMapName("parent", request->parent()));
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            auto page, engine_.ListRevisions(map_id, ToPageRequest(*request)));
+        for (const engine::RevisionInfo& revision : page.items) {
+          *response->add_revisions() = ToProto(revision);
+        }
+        response->set_next_page_token(std::move(page.next_page_token));
+        return absl::OkStatus();
+      });
+}
+
+}  // namespace mapsieve::rpc

@@ -1,0 +1,44 @@
+#ifndef MAPSIEVE_SERVER_RPC_MAP_SERVICE_H_
+#define MAPSIEVE_SERVER_RPC_MAP_SERVICE_H_
+
+#include "mapsieve/v1/map_service.grpc.pb.h"
+#include "server/engine/engine.h"
+#include "server/rpc/reactors.h"
+
+namespace mapsieve::rpc {
+
+/// mapsieve.v1.MapService over an engine. Thread-safe.
+class MapService final : public v1::MapService::CallbackService {
+ public:
+  /// Both outlive the service.
+  MapService(CallContext& calls, engine::Engine& engine)
+      : calls_(calls), engine_(engine) {}
+
+  grpc::ServerUnaryReactor* CreateMap(grpc::CallbackServerContext* context,
+                                      const v1::CreateMapRequest* request,
+                                      v1::Map* response) override;
+  grpc::ServerUnaryReactor* GetMap(grpc::CallbackServerContext* context,
+                                   const v1::GetMapRequest* request,
+                                   v1::Map* response) override;
+  grpc::ServerUnaryReactor* ListMaps(grpc::CallbackServerContext* context,
+                                     const v1::ListMapsRequest* request,
+                                     v1::ListMapsResponse* response) override;
+  grpc::ServerUnaryReactor* DeleteMap(
+      grpc::CallbackServerContext* context, const v1::DeleteMapRequest* request,
+      google::protobuf::Empty* response) override;
+  grpc::ServerUnaryReactor* GetMapStats(grpc::CallbackServerContext* context,
+                                        const v1::GetMapStatsRequest* request,
+                                        v1::MapStats* response) override;
+  grpc::ServerUnaryReactor* ListRevisions(
+      grpc::CallbackServerContext* context,
+      const v1::ListRevisionsRequest* request,
+      v1::ListRevisionsResponse* response) override;
+
+ private:
+  CallContext& calls_;
+  engine::Engine& engine_;
+};
+
+}  // namespace mapsieve::rpc
+
+#endif  // MAPSIEVE_SERVER_RPC_MAP_SERVICE_H_
