@@ -67,6 +67,12 @@ absl::Status CheckAttributes(std::string_view file_name,
       return absl::InvalidArgumentError(absl::StrCat(
           ToAbsl(file_name), ": an attribute has no name; give it one"));
     }
+    if (attribute.name.size() > kMaxNameBytes) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          ToAbsl(file_name), ": the column name ", Quoted(attribute.name),
+          " has ", attribute.name.size(), " bytes; at most ", kMaxNameBytes,
+          " are handled: shorten it"));
+    }
     if (!names.insert(attribute.name).second) {
       return absl::InvalidArgumentError(
           absl::StrCat(ToAbsl(file_name), ": two columns are named \"",

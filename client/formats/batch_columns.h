@@ -16,10 +16,12 @@ namespace mapsieve::client {
 
 /// Attributes of a file at most; beyond it a reader refuses the file.
 inline constexpr size_t kMaxAttributes = 1024;
+/// Bytes of an attribute's name at most.
+inline constexpr size_t kMaxNameBytes = 255;
 
-/// Checks the attributes of a file: at most kMaxAttributes, every name given,
-/// none twice, none "x", "y" or "z". Otherwise kInvalidArgument, beginning
-/// with `file_name`.
+/// Checks the attributes of a file: at most kMaxAttributes, every name 1 to
+/// kMaxNameBytes long, none twice, none "x", "y" or "z". Otherwise
+/// kInvalidArgument, beginning with `file_name`.
 absl::Status CheckAttributes(std::string_view file_name,
                              const std::vector<core::ColumnSpec>& attributes);
 

@@ -190,6 +190,9 @@ TEST(CsvReader, RefusesByName) {
   EXPECT_THAT(
       ReadText(wide + "\n"),
       StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("at most 1024")));
+  EXPECT_THAT(
+      ReadText("x,y,z," + std::string(256, 'n') + "\n"),
+      StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("256 bytes")));
   EXPECT_THAT(ReadText(std::string(3 << 20, ',')),
               StatusIs(absl::StatusCode::kDataLoss,
                        HasSubstr("line 1: longer than 1048576 bytes")));
