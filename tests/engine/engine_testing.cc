@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <numeric>
 #include <random>
 #include <utility>
@@ -120,6 +121,9 @@ absl::StatusOr<Answer> ReadAll(QueryCursor& cursor) {
   Answer answer;
   answer.header = cursor.header();
   answer.points.lattice = core::Lattice(answer.header.step_nm);
+  for (const core::ColumnSpec& spec : answer.header.columns) {
+    answer.points.attributes.columns().emplace_back(spec);
+  }
   while (true) {
     MAPSIEVE_ASSIGN_OR_RETURN(const auto block, cursor.NextBatch());
     if (!block.has_value()) break;
@@ -238,6 +242,19 @@ absl::StatusOr<ProcessReport> Workshop::Process(
 absl::StatusOr<Answer> Workshop::Query(QuerySpec spec) {
   spec.map_id = "map";
   return ReadAll(OpenQuery(*store_, memory_, spec, {}));
+}
+
+void Workshop::DamageBlob(const storage::BlobId& id) {
+  for (const auto& entry :
+       std::filesystem::recursive_directory_iterator(dir_.path())) {
+    if (entry.path().filename().string().starts_with(id)) {
+      std::string bytes = storage::ReadWholeFile(entry.path());
+      bytes[bytes.size() / 2] ^= 1;
+      storage::WriteWholeFile(entry.path(), bytes);
+      return;
+    }
+  }
+  ADD_FAILURE() << "no file of blob " << id;
 }
 
 Service::Service(int worker_count)

@@ -77,6 +77,8 @@ class Workshop {
                                         const ProcessLimits& limits,
                                         const ExecutionContext& context = {});
   absl::StatusOr<Answer> Query(QuerySpec spec);
+  /// Flips a bit in the middle of a blob's file.
+  void DamageBlob(const storage::BlobId& id);
 
  private:
   storage::TemporaryDirectory dir_;

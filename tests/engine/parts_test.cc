@@ -1,0 +1,140 @@
+// The small parts of the engine.
+
+#include <string>
+#include <vector>
+
+#include "gtest/gtest.h"
+#include "server/engine/memory_pool.h"
+#include "server/engine/opaque_records.h"
+#include "server/engine/product_chunk.h"
+#include "tests/testing/status_matchers.h"
+
+namespace mapsieve::engine {
+namespace {
+
+using mapsieve::testing::StatusIs;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+TEST(MemoryPool, GivesWhatItHasAndTakesItBack) {
+  MemoryPool pool(100);
+  Reservation mine(pool);
+  MAPSIEVE_ASSERT_OK(mine.Grow(60, "mine"));
+  {
+    Reservation other(pool);
+    MAPSIEVE_ASSERT_OK(other.Grow(40, "other"));
+    EXPECT_THAT(
+        mine.Grow(1, "mine"),
+        StatusIs(absl::StatusCode::kResourceExhausted,
+                 AllOf(HasSubstr("mine needs 1 bytes"), HasSubstr("0 of 100"),
+                       HasSubstr("holding 40"), HasSubstr("try again later"))));
+  }
+  MAPSIEVE_EXPECT_OK(mine.Grow(40, "mine"));
+  EXPECT_THAT(mine.Grow(1, "mine"),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       HasSubstr("holding 0: ask for less")));
+}
+
+template <typename T, typename Parse>
+void ExpectRoundTrip(const T& record, const std::string& bytes,
+                     const Parse& parse) {
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const T read, parse(bytes));
+  EXPECT_EQ(read, record);
+  for (size_t size = 0; size < bytes.size(); ++size) {
+    EXPECT_THAT(parse(bytes.substr(0, size)),
+                StatusIs(absl::StatusCode::kDataLoss, HasSubstr("stored")));
+  }
+  EXPECT_THAT(parse(bytes + "x"), StatusIs(absl::StatusCode::kDataLoss,
+                                           HasSubstr("1 bytes too many")));
+  std::string newer = bytes;
+  newer[0] = 2;
+  EXPECT_THAT(parse(newer), StatusIs(absl::StatusCode::kDataLoss,
+                                     HasSubstr("version 2, expected 1")));
+}
+
+constexpr core::SpdfOptions kOptions = {.neighbor_count = 33,
+                                        .vote_scale_m2 = 0.123,
+                                        .density_radius_m = 0.77,
+                                        .reach_m = 1.5,
+                                        .max_round_count = 3,
+                                        .rule = core::DensityRule::kQuota,
+                                        .seed = -9,
+                                        .outlier_share = 0.25};
+
+UploadReport MakeUploadReport() {
+  return {.revision = 3,
+          .added_point_count = 5'000'000'000,
+          .refused = {.non_finite = 1, .out_of_lattice = 2},
+          .block_count = 7,
+          .tile_count = 8,
+          .bounds = Bounds{{-1, -2, -3}, {4, 5, 6}}};
+}
+
+TEST(OpaqueRecords, ComeBackAsTheyWere) {
+  ExpectRoundTrip(kOptions, FormatSpdfOptions(kOptions), ParseSpdfOptions);
+  ExpectRoundTrip(MakeUploadReport(), FormatUploadReport(MakeUploadReport()),
+                  ParseUploadReport);
+  const UploadReport nothing;
+  ExpectRoundTrip(nothing, FormatUploadReport(nothing), ParseUploadReport);
+  const ProcessReport run = {.revision = 9,
+                             .distinct_point_count = 100,
+                             .point_count = 50,
+                             .label_counts = {0, 10, 15, 25},
+                             .outlier_count = 4,
+                             .round_count = 6};
+  ExpectRoundTrip(run, FormatProcessReport(run), ParseProcessReport);
+  const JobSpec finalize = {.verb = OperationVerb::kFinalizeUpload,
+                            .map_uid = "map",
+                            .upload_id = "id",
+                            .upload_uid = "uid"};
+  ExpectRoundTrip(finalize, FormatJobSpec(finalize), ParseJobSpec);
+  const JobSpec process = {.verb = OperationVerb::kProcessMap,
+                           .map_uid = "map",
+                           .options = kOptions};
+  ExpectRoundTrip(process, FormatJobSpec(process), ParseJobSpec);
+}
+
+TEST(OpaqueRecords, OutcomeHoldsTheResultOfItsVerb) {
+  const absl::Time start = absl::FromUnixMicros(1'700'000'000'123'456);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const JobOutcome none,
+                                ParseJobOutcome(FormatJobOutcome({start, {}})));
+  EXPECT_EQ(none.start_time, start);
+  EXPECT_TRUE(std::holds_alternative<std::monostate>(none.result));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const JobOutcome upload,
+      ParseJobOutcome(FormatJobOutcome({start, MakeUploadReport()})));
+  EXPECT_EQ(std::get<UploadReport>(upload.result), MakeUploadReport());
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const JobOutcome process,
+      ParseJobOutcome(FormatJobOutcome({start, ProcessReport{.revision = 2}})));
+  EXPECT_EQ(std::get<ProcessReport>(process.result).revision, 2);
+}
+
+TEST(ProductChunk, RefusesColumnsThatAreNone) {
+  core::LabelColumns labels;
+  labels.label = {core::Label::kCurve, core::Label::kNone};
+  labels.confidence = {7, 0};
+  labels.lambda = {{3, 2, 1}, {0, 0, 0}};
+  labels.normal = {5, 6};
+  labels.tangent = {7, 8};
+  core::LatticeCloud points;
+  points.positions = {{1, 1, 1}, {2, 2, 2}};
+  core::LatticeCloud product = MakeProductCloud(points, labels);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const core::LabelCounts counts,
+                                CountLabels(product));
+  EXPECT_EQ(counts, (core::LabelCounts{1, 0, 1, 0}));
+  EXPECT_THAT(
+      FindProductColumn(product, kNormalColumn, core::ScalarType::kFloat32),
+      StatusIs(absl::StatusCode::kDataLoss,
+               HasSubstr("expected float32, found uint32")));
+  EXPECT_THAT(CountLabels(points),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("found none")));
+  product.attributes.Find(kLabelColumn)->Set<uint8_t>(1, 4);
+  EXPECT_THAT(CountLabels(product),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       HasSubstr("point 1 of a product chunk: expected at "
+                                 "most 3, found 4")));
+}
+
+}  // namespace
+}  // namespace mapsieve::engine
