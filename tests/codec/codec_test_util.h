@@ -41,7 +41,7 @@ void AddColumn(LatticeCloud& cloud, std::string_view name, ScalarType type,
   Column column({std::string(name), type}, cloud.size());
   const size_t width = column.value_size();
   for (size_t i = 0; i < cloud.size(); ++i) {
-    const uint64_t value = bits(i);
+    const auto value = static_cast<uint64_t>(bits(i));
     std::memcpy(column.mutable_bytes().data() + i * width, &value, width);
   }
   cloud.attributes.columns().push_back(std::move(column));
