@@ -94,11 +94,6 @@ absl::StatusOr<Columns> NameColumns(const std::string& file_name,
     }
     absl::StrAppend(&listed, listed.empty() ? "" : ", ", name);
   }
-  if (names.size() < 3) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        file_name, ": expected at least three columns, x, y, z, found ",
-        names.size(), " (", listed, ")"));
-  }
   Columns columns;
   columns.attribute_of.resize(names.size());
   std::array<bool, 3> found{};
@@ -279,6 +274,12 @@ absl::StatusOr<Beginning> ReadBeginning(
     std::vector<std::string_view> fields;
     Split(line, beginning.separator, fields);
     if (fields.size() > 3 && fields.back().empty()) fields.pop_back();
+    if (fields.size() < 3) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(file->name(), ", line ", beginning.line,
+                       ": expected at least three columns, x, y, z, found ",
+                       fields.size(), ": ", Quoted(line)));
+    }
     const bool is_header =
         !std::all_of(fields.begin(), fields.end(), IsNumberOrEmpty);
     if (is_header) {

@@ -417,7 +417,7 @@ TEST(TestData, EveryXyzFileIsReadOrRefused) {
       kData / "formats/xyz",
       {{"scan.3d.txt", 2498},
        {"sources.txt", 0, absl::StatusCode::kInvalidArgument,
-        "expected at least three columns, x, y, z, found 1 (scan.2d.txt)"}},
+        "expected at least three columns, x, y, z, found 1: \"scan.2d.txt\""}},
       Open);
 }
 
