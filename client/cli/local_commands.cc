@@ -179,7 +179,11 @@ absl::Status RunConvert(const CommonOptions& common,
   const PointFileInfo& info = reader->info();
   WriteOptions options = {.attributes = info.attributes,
                           .crs_wkt = info.crs_wkt};
-  if (info.coordinate_step > 0) options.coordinate_step = info.coordinate_step;
+  if (info.coordinate_step > 0) {
+    options.coordinate_step = info.coordinate_step;
+  } else if (std::filesystem::path(command.output).extension() != ".las") {
+    options.coordinate_step = 0;  // all digits, where the format has no scale
+  }
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<PointWriter> writer,
                             CreatePointFile(command.output, options));
   int64_t count = 0;

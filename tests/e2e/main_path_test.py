@@ -141,6 +141,15 @@ class MainPath(unittest.TestCase):
         for (row,) in self.rows(curves).values():
             self.assertIn(row["label"], ("1", "2"))
 
+        example = subprocess.run(
+            [BIN / "quickstart", self.server.address, "campus",
+             *map(str, center), "30"],
+            capture_output=True, text=True, timeout=60)
+        self.assertEqual(example.returncode, 0, example.stderr)
+        printed = {tuple(round(float(v) / STEP) for v in line.split())
+                   for line in example.stdout.splitlines()}
+        self.assertEqual(printed, set(self.rows(curves)))
+
         local = self.work / "local.csv"
         served = self.work / "served.csv"
         self.mapsieve("sample", source, "--rho", "0.2", "-o", local)
@@ -194,7 +203,8 @@ class MainPath(unittest.TestCase):
         self.fails("upload", "bad", typed, message="uint8")
         self.fails("process", "bad", "--rho", "-1", message="density_radius_m")
         self.fails("query", "bad", "-o", self.work / "x.ply", message="process")
-        self.fails("query", "bad", "-o", self.work / "x.doc", message="x.doc")
+        self.fails("query", "bad", "--raw", "-o", self.work / "x.doc",
+                   message="x.doc")
         self.fails("create", "bad", message="bad")
         self.fails("create", "../etc", message="../etc")
         self.fails("info", "nosuchmap", message="nosuchmap")
