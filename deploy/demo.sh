@@ -60,7 +60,7 @@ trap - EXIT
 
 echo "== drawing"
 mapsieve render "before=campus.las" "after=campus.ply" -o before_after.png --width 2400 >/dev/null
-mapsieve render "random, 30 000 points=random_30000.ply" "SpDF, 30 000 points=campus_30000.ply" \
+mapsieve render "random=random_30000.ply" "SpDF=campus_30000.ply" \
   -o random_spdf.png --width 2400 >/dev/null
 mapsieve render campus_30000.ply -o campus_30000.png --view oblique >/dev/null
 mapsieve render "curves and junctions within 60 m=around.ply" -o around.png --view oblique >/dev/null
