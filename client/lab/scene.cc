@@ -92,23 +92,22 @@ void AddPlanes(const Polyhedron& body, const Point3& p,
   for (int i = 0; i < body.face_count; ++i) {
     const HalfSpace& face = body.faces[static_cast<size_t>(i)];
     const double w = -heights[static_cast<size_t>(i)];
-    bool in_opening = false;
     if (w < body.openings.depth + kNear) {
       if (const auto place = NearestOpening(body.openings, face, i, p)) {
         const double right = body.openings.width - place->u;
         const double above = body.openings.height - place->v;
         const double inside_u = std::min(place->u, right);
         const double inside_v = std::min(place->v, above);
-        in_opening = std::min(inside_u, inside_v) > kNear;
         if (std::min(inside_u, inside_v) > -kNear) {
-          if (std::abs(w - body.openings.depth) < kNear)
+          if (std::abs(w - body.openings.depth) < kNear) {
             planes.Add(face.normal);
+          }
           if (std::abs(inside_u) < kNear) planes.Add(place->tangent);
           if (std::abs(inside_v) < kNear) planes.Add({0, 0, 1});
         }
       }
     }
-    if (w < kNear && !in_opening) planes.Add(face.normal);
+    if (w < kNear) planes.Add(face.normal);
   }
 }
 

@@ -278,11 +278,42 @@ TEST(CampusTest, GroundUndulatesAndKerbsRise) {
 }
 
 TEST(CampusTest, OtherSeedsAndBlocksDiffer) {
-  const auto corner = [](uint64_t seed, int64_t block) {
-    return Campus(seed).Surroundings(block, block, 10).polyhedra.at(0);
+  const auto size = [](uint64_t seed, int64_t x, int64_t y) {
+    const Polyhedron first =
+        Campus(seed).Surroundings(x, y, 10).polyhedra.at(0);
+    return first.max_corner.x - first.min_corner.x;
   };
-  EXPECT_NE(corner(1, 0).max_corner.x, corner(2, 0).max_corner.x);
-  EXPECT_NE(corner(1, 0).max_corner.z, corner(1, 5).max_corner.z);
+  EXPECT_NE(size(1, 0, 0), size(2, 0, 0));
+  EXPECT_NE(size(1, 0, 0), size(1, 5, 0));
+  EXPECT_NE(size(1, 0, 0), size(1, 0, 5));
+}
+
+TEST(CampusTest, SurroundingsReachAsFarAsTheRange) {
+  const Campus campus(8);
+  constexpr double kRange = 100;
+  Scene enough(campus.Surroundings(0, 0, kRange));
+  Scene plenty(campus.Surroundings(0, 0, kRange + 150));
+  int far = 0;
+  for (const double x : {0.0, Campus::kBlockX}) {
+    for (const double y : {0.0, Campus::kBlockY}) {
+      // High up, so that much is in sight.
+      const Point3 eye = {x, y, 15};
+      for (int i = 0; i < 2000; ++i) {
+        const double azimuth = 2.4 * i;
+        const double elevation = -0.25 + 0.0001 * i;
+        const Vector3 d = {std::cos(elevation) * std::cos(azimuth),
+                           std::cos(elevation) * std::sin(azimuth),
+                           std::sin(elevation)};
+        const auto a = enough.Cast(eye, d, kRange, {1, i});
+        const auto b = plenty.Cast(eye, d, kRange, {1, i});
+        ASSERT_EQ(a.has_value(), b.has_value()) << i;
+        if (!a) continue;
+        ASSERT_NEAR(a->range, b->range, 1e-6) << i;
+        if (a->range > 0.9 * kRange) ++far;
+      }
+    }
+  }
+  EXPECT_GT(far, 100);
 }
 
 TEST(SpiralDriveTest, DrivesOnStreetsWithoutLeaps) {
@@ -339,9 +370,11 @@ TEST(CampusTest, TheDriveIsFree) {
       Solids solids(scene);
       for (double further = 0; further < 50; ++further) {
         Point3 p = SpiralDrive(distance + further);
-        p.z = campus.TerrainHeight(p.x, p.y) + 1.8;
         solids.SelectAlong(p, {1, 0, 0}, 1);
-        EXPECT_FALSE(solids.Contain(p)) << seed << " " << distance + further;
+        for (const double height : {0.3, 1.0, 1.8}) {
+          p.z = campus.TerrainHeight(p.x, p.y) + height;
+          EXPECT_FALSE(solids.Contain(p)) << seed << " " << distance + further;
+        }
       }
     }
   }

@@ -356,9 +356,8 @@ TEST(SpinningScannerTest, BeamTableIsTheDocumentedOne) {
 }
 
 TEST(SpinningScannerTest, NothingNearerThanTheLeastRangeComesBack) {
-  SceneDescription description = FlatScene(-0.3);
-  description.polyhedra.push_back(UprightBox({10, 0, -1}, 1, 50, 9, 0));
-  Scene scene(std::move(description));
+  // The lower half of the beams that meet the ground do so too near.
+  Scene scene(FlatScene(-0.1));
   int met = 0;
   ForReturnsAtHeights(
       scene, 0, 0, 1, [&](const ScannerReturn& echo, const ScannerRotation&) {
@@ -367,6 +366,34 @@ TEST(SpinningScannerTest, NothingNearerThanTheLeastRangeComesBack) {
                   SpinningScanner::kMinRange);
       });
   EXPECT_GT(met, 1000);
+}
+
+TEST(SpinningScannerTest, NoiseOfRotationsIsIndependent) {
+  Scene scene(FlatScene());
+  const SpinningScanner scanner({.range_noise_m = 0.1, .spurious_share = 0});
+  const auto ranges = [&](int64_t index) {
+    ScannerRotation rotation;
+    rotation.index = index;
+    rotation.start.z = 2;
+    std::vector<double> result;
+    for (int column = 0; column < SpinningScanner::kColumnCount; ++column) {
+      const auto echo =
+          scanner.Fire(scene, rotation, column * SpinningScanner::kBeamCount);
+      const Point3 p = echo.value().position;
+      result.push_back(std::hypot(p.x, p.y, p.z - 2));
+    }
+    return result;
+  };
+  const std::vector<double> first = ranges(0);
+  const std::vector<double> second = ranges(1);
+  EXPECT_EQ(first, ranges(0));
+  const double exact = 2 / std::sin(25 * pi / 180);
+  double product = 0;
+  for (size_t i = 0; i < first.size(); ++i) {
+    product += (first[i] - exact) * (second[i] - exact);
+  }
+  EXPECT_NEAR(product / (0.1 * 0.1 * static_cast<double>(first.size())), 0,
+              0.15);
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <map>
 #include <numbers>
@@ -305,6 +306,21 @@ TEST(CampusScannerTest, RangeAndSpacingAreObeyed) {
   const Point3 a = scanner.Rotation(0).start;
   const Point3 b = scanner.Rotation(1).start;
   EXPECT_NEAR(std::hypot(a.x - b.x, a.y - b.y), 11, 1);
+}
+
+TEST(CampusScannerTest, TheWorldGoesWithTheScanner) {
+  const PointCloud cloud =
+      Collect({.point_count = 100'000, .rotation_spacing_m = 1000});
+  std::map<int, int> returns;
+  for (size_t i = 0; i < cloud.size(); ++i) {
+    ++returns[Value<uint16_t>(cloud, "point_source_id", i)];
+  }
+  // The last rotation is cut off.
+  returns.erase(std::prev(returns.end()));
+  ASSERT_GE(returns.size(), 3);
+  for (const auto& [rotation, count] : returns) {
+    EXPECT_GT(count, SpinningScanner::kPulseCount / 2) << rotation;
+  }
 }
 
 TEST(SimulateOptionsTest, RefusesWhatItNames) {
