@@ -37,9 +37,9 @@ struct ChunkPosition {
 };
 
 /// Maps, revisions, references to chunks, uploads and operations. Every call
-/// is one transaction: it happens whole or not at all, and what a call that
-/// returned OK changed survives any crash. Thread-safe; readers do not wait
-/// for a commit under way.
+/// but PurgeMap is one transaction: it happens whole or not at all, and what a
+/// call that returned OK changed survives any crash. Thread-safe; readers do
+/// not wait for a commit under way.
 ///
 /// A revision never changes. It shares the references that it did not touch
 /// with its parent: a reference belongs to the revisions from the one that
@@ -70,9 +70,10 @@ class Catalogue {
   /// after `after`.
   virtual absl::StatusOr<std::vector<std::string>> ListDeletedMaps(
       const std::string& after, int64_t max_count) const = 0;
-  /// Forgets the revisions and references of a deleted map. kNotFound;
-  /// kFailedPrecondition: the map is not deleted. Called by Store, which
-  /// knows its readers.
+  /// Forgets the revisions and references of a deleted map, in several
+  /// transactions: after an error it may be half done, and can be repeated.
+  /// kNotFound; kFailedPrecondition: the map is not deleted. Called by Store,
+  /// which knows its readers.
   virtual absl::Status PurgeMap(const std::string& map_uid) = 0;
 
   // Revisions and chunks.

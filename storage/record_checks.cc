@@ -64,40 +64,6 @@ bool Holds(const core::LatticeBox& outer, const core::LatticeBox& inner) {
          axis(outer.min.z, outer.max.z, inner.min.z, inner.max.z);
 }
 
-absl::Status CheckChunk(const ChunkRef& chunk, int tile_level) {
-  if (chunk.kind != ChunkKind::kRaw && chunk.kind != ChunkKind::kProduct) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("unknown kind ", static_cast<int>(chunk.kind)));
-  }
-  if (chunk.tile.level != tile_level || !IsValidCell(chunk.tile)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("no tile of level ", tile_level, " inside the lattice"));
-  }
-  if (!IsHexId(chunk.blob_id)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "blob id ", Quoted(chunk.blob_id), ": expected 32 hexadecimal digits"));
-  }
-  MAPSIEVE_RETURN_IF_ERROR(
-      CheckRange("point_count", chunk.point_count, 1, core::kMaxBlockPoints));
-  MAPSIEVE_RETURN_IF_ERROR(
-      CheckRange("stored_bytes", chunk.stored_bytes, 1, kMaxBlobBytes));
-  for (const int64_t count : chunk.label_counts) {
-    MAPSIEVE_RETURN_IF_ERROR(
-        CheckRange("label count", count, 0, chunk.point_count));
-  }
-  const int64_t labeled = std::accumulate(chunk.label_counts.begin(),
-                                          chunk.label_counts.end(), int64_t{0});
-  MAPSIEVE_RETURN_IF_ERROR(
-      CheckRange("sum of label_counts", labeled,
-                 chunk.kind == ChunkKind::kRaw ? 0 : chunk.point_count,
-                 chunk.kind == ChunkKind::kRaw ? 0 : chunk.point_count));
-  if (!Holds(chunk.tile.box(), chunk.bounds)) {
-    return absl::InvalidArgumentError(
-        "bounds are empty or not inside the tile");
-  }
-  return absl::OkStatus();
-}
-
 }  // namespace
 
 absl::Status CheckMapSpec(const MapSpec& spec) {
@@ -137,6 +103,40 @@ absl::Status CheckOperation(const OperationRecord& operation) {
   return CheckRange("state", static_cast<int64_t>(operation.state),
                     static_cast<int64_t>(OperationState::kQueued),
                     static_cast<int64_t>(OperationState::kCancelled));
+}
+
+absl::Status CheckChunk(const ChunkRef& chunk, int tile_level) {
+  if (chunk.kind != ChunkKind::kRaw && chunk.kind != ChunkKind::kProduct) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("unknown kind ", static_cast<int>(chunk.kind)));
+  }
+  if (chunk.tile.level != tile_level || !IsValidCell(chunk.tile)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("no tile of level ", tile_level, " inside the lattice"));
+  }
+  if (!IsHexId(chunk.blob_id)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "blob id ", Quoted(chunk.blob_id), ": expected 32 hexadecimal digits"));
+  }
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckRange("point_count", chunk.point_count, 1, core::kMaxBlockPoints));
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckRange("stored_bytes", chunk.stored_bytes, 1, kMaxBlobBytes));
+  for (const int64_t count : chunk.label_counts) {
+    MAPSIEVE_RETURN_IF_ERROR(
+        CheckRange("label count", count, 0, chunk.point_count));
+  }
+  const int64_t labeled = std::accumulate(chunk.label_counts.begin(),
+                                          chunk.label_counts.end(), int64_t{0});
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckRange("sum of label_counts", labeled,
+                 chunk.kind == ChunkKind::kRaw ? 0 : chunk.point_count,
+                 chunk.kind == ChunkKind::kRaw ? 0 : chunk.point_count));
+  if (!Holds(chunk.tile.box(), chunk.bounds)) {
+    return absl::InvalidArgumentError(
+        "bounds are empty or not inside the tile");
+  }
+  return absl::OkStatus();
 }
 
 absl::Status CheckRevisionChange(const RevisionChange& change, int tile_level) {

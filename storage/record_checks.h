@@ -20,6 +20,7 @@ absl::Status CheckMapSpec(const MapSpec& spec);
 absl::Status CheckUploadSpec(const UploadSpec& spec);
 absl::Status CheckOperation(const OperationRecord& operation);
 /// `tile_level`: that of the map.
+absl::Status CheckChunk(const ChunkRef& chunk, int tile_level);
 absl::Status CheckRevisionChange(const RevisionChange& change, int tile_level);
 absl::Status CheckPageSize(int64_t max_count);
 

@@ -91,6 +91,7 @@ class Connections {
     MAPSIEVE_RETURN_IF_ERROR(transaction.Commit());
     return result;
   }
+
   Mutex writer_mutex_;
   const std::unique_ptr<SqliteDatabase> writer_
       ABSL_PT_GUARDED_BY(writer_mutex_);
@@ -124,7 +125,13 @@ class SqliteCatalogue final : public Catalogue, private Connections {
     });
   }
   absl::Status PurgeMap(const std::string& map_uid) override {
-    return Write([&](auto& db) { return storage::PurgeMap(db, map_uid); });
+    // In parts: the log stays short, and others can write in between.
+    while (true) {
+      MAPSIEVE_ASSIGN_OR_RETURN(const bool done, Write([&](auto& db) {
+                                  return PurgePart(db, map_uid);
+                                }));
+      if (done) return absl::OkStatus();
+    }
   }
 
   absl::StatusOr<RevisionRecord> CommitRevision(

@@ -6,7 +6,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
-#include "storage/names.h"
 #include "storage/record_checks.h"
 #include "storage/tile_order.h"
 
@@ -49,14 +48,19 @@ absl::StatusOr<core::CellKey> TakeTile(SqliteDatabase& database,
 
 constexpr char kChunkColumns[] = "number, kind, blob_id, tile_key";
 
-absl::StatusOr<ChunkRef> TakeChunk(SqliteDatabase& database,
+absl::StatusOr<ChunkRef> TakeChunk(SqliteDatabase& database, const MapRow& map,
                                    SqliteStatement& row) {
   ChunkRef chunk;
-  row.Take(chunk.number).Take(chunk.kind).Take(chunk.blob_id);
-  row.Check(IsHexId(chunk.blob_id), "is no blob id");
+  row.TakeCount(chunk.number).Take(chunk.kind).Take(chunk.blob_id);
   MAPSIEVE_ASSIGN_OR_RETURN(chunk.tile, TakeTile(database, row));
-  VisitNumbers(chunk, [&](auto& field) { row.Take(field); });
+  VisitNumbers(chunk, [&](int64_t& field) { row.Take(field); });
   MAPSIEVE_RETURN_IF_ERROR(row.status());
+  if (const auto status = CheckChunk(chunk, map.record.spec.tile_level);
+      !status.ok()) {
+    return absl::DataLossError(absl::StrCat(database.path(),
+                                            ": damaged: chunk ", chunk.number,
+                                            ": ", status.message()));
+  }
   return chunk;
 }
 
@@ -126,7 +130,7 @@ class Change {
             absl::StrCat("chunk ", number, " to remove is not in revision ",
                          revision_ - 1, " of map ", map_.record.spec.id));
       }
-      MAPSIEVE_ASSIGN_OR_RETURN(chunk, TakeChunk(database_, query));
+      MAPSIEVE_ASSIGN_OR_RETURN(chunk, TakeChunk(database_, map_, query));
     }
     {
       MAPSIEVE_ASSIGN_OR_RETURN(
@@ -183,7 +187,7 @@ class Change {
           .Bind(chunk.kind)
           .Bind(chunk.blob_id)
           .BindBlob(TileOrderKey(chunk.tile));
-      VisitNumbers(chunk, [&](const auto& field) { insert.Bind(field); });
+      VisitNumbers(chunk, [&](int64_t field) { insert.Bind(field); });
       MAPSIEVE_RETURN_IF_ERROR(insert.Run());
     }
     if (chunk.kind == ChunkKind::kRaw) {
@@ -362,7 +366,7 @@ absl::StatusOr<std::vector<ChunkRef>> ReadChunks(
   while (true) {
     MAPSIEVE_ASSIGN_OR_RETURN(const bool row, query.Step());
     if (!row) return chunks;
-    MAPSIEVE_ASSIGN_OR_RETURN(ChunkRef chunk, TakeChunk(database, query));
+    MAPSIEVE_ASSIGN_OR_RETURN(ChunkRef chunk, TakeChunk(database, map, query));
     chunks.push_back(std::move(chunk));
   }
 }
@@ -434,8 +438,8 @@ absl::StatusOr<std::vector<TileSummary>> ListTiles(
     if (!row) return tiles;
     TileSummary tile;
     MAPSIEVE_ASSIGN_OR_RETURN(tile.tile, TakeTile(database, query));
-    query.Take(tile.chunk_count);
-    VisitNumbers(tile, [&](auto& field) { query.Take(field); });
+    query.TakeCount(tile.chunk_count);
+    VisitNumbers(tile, [&](int64_t& field) { query.Take(field); });
     MAPSIEVE_RETURN_IF_ERROR(query.status());
     tiles.push_back(tile);
   }

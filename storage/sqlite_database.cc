@@ -109,6 +109,12 @@ SqliteStatement& SqliteStatement::Take(int64_t& value) {
   return *this;
 }
 
+SqliteStatement& SqliteStatement::TakeCount(int64_t& count) {
+  Take(count);
+  Check(count >= 0 && count <= int64_t{1} << 62, "is no count");
+  return *this;
+}
+
 SqliteStatement& SqliteStatement::Take(bool& value) {
   int64_t number = 0;
   Take(number);
@@ -179,10 +185,11 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
   // A damaged schema must not run code of its own.
   sqlite3_db_config(handle, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
   sqlite3_db_config(handle, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
+  // The last one: a log that a large transaction made long is cut to 16 MiB.
   for (const char* pragma :
        {"PRAGMA mmap_size = 0", "PRAGMA synchronous = FULL",
         "PRAGMA foreign_keys = ON", "PRAGMA cell_size_check = ON",
-        "PRAGMA temp_store = MEMORY"}) {
+        "PRAGMA temp_store = MEMORY", "PRAGMA journal_size_limit = 16777216"}) {
     MAPSIEVE_RETURN_IF_ERROR(database->Execute(pragma));
   }
   MAPSIEVE_RETURN_IF_ERROR(database->UseWriteAheadLog());

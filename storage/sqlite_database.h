@@ -86,6 +86,8 @@ class SqliteStatement {
   SqliteStatement& TakeBlob(std::string& bytes);
   /// Whether the next column is NULL; takes it if so.
   bool TakeNull();
+  /// Takes a number of things, 0 to 2^62.
+  SqliteStatement& TakeCount(int64_t& count);
   /// Keeps kDataLoss, naming the column taken last, if `condition` is false.
   void Check(bool condition, std::string_view what);
 

@@ -12,6 +12,9 @@
 namespace mapsieve::storage {
 namespace {
 
+// A part that writes a few MB.
+constexpr int64_t kChunksOfAPart = 4096;
+
 // In the order of TakeMap.
 constexpr char kMapColumns[] =
     "map_key, deleted, uid, id, display_name, step_nm, tile_level, crs_wkt, "
@@ -33,7 +36,7 @@ absl::StatusOr<MapRow> TakeMap(SqliteStatement& row) {
   row.Check(spec.tile_level >= 0 && spec.tile_level <= core::kMaxTileLevel,
             "is no level of tiles");
   row.Take(spec.crs_wkt)
-      .Take(record.newest_revision)
+      .TakeCount(record.newest_revision)
       .Take(record.create_time)
       .Take(record.update_time)
       .TakeBlob(record.process_options);
@@ -41,8 +44,7 @@ absl::StatusOr<MapRow> TakeMap(SqliteStatement& row) {
   return map;
 }
 
-// In the order of VisitRevision; `product_options` and what follows it come
-// last.
+// In the order of TakeRevision.
 constexpr char kRevisionColumns[] =
     "number, kind, create_time, description, attributes, refused_non_finite, "
     "refused_out_of_lattice, processed_revision, raw_point_count, "
@@ -66,6 +68,10 @@ void VisitTotals(Totals& totals, const Visit& visit) {
   visit(totals.stored_bytes);
   visit(totals.tile_count);
   visit(totals.stale_tile_count);
+}
+
+template <typename Totals, typename Visit>
+void VisitBounds(Totals& totals, const Visit& visit) {
   for (auto* corner : {&totals.bounds.min, &totals.bounds.max}) {
     visit(corner->x);
     visit(corner->y);
@@ -74,31 +80,37 @@ void VisitTotals(Totals& totals, const Visit& visit) {
 }
 
 template <typename Product, typename Visit>
-void VisitProductNumbers(Product& product, const Visit& visit) {
+void VisitProductCounts(Product& product, const Visit& visit) {
   visit(product.distinct_point_count);
   for (auto& count : product.kept_counts) visit(count);
-  for (auto& confidence : product.max_confidence) visit(confidence);
 }
 
 absl::StatusOr<RevisionRecord> TakeRevision(SqliteStatement& row) {
   RevisionRecord revision;
   RevisionSpec& spec = revision.spec;
   std::string attributes;
-  row.Take(revision.number)
+  row.TakeCount(revision.number)
       .Take(spec.kind)
       .Take(revision.create_time)
       .TakeBlob(spec.description)
       .TakeBlob(attributes)
-      .Take(spec.refused.non_finite)
-      .Take(spec.refused.out_of_lattice)
-      .Take(revision.processed_revision);
+      .TakeCount(spec.refused.non_finite)
+      .TakeCount(spec.refused.out_of_lattice)
+      .TakeCount(revision.processed_revision);
   revision.parent = revision.number - 1;
-  const auto take = [&](auto& field) { row.Take(field); };
-  VisitTotals(revision.totals, take);
+  const auto take_count = [&](int64_t& count) { row.TakeCount(count); };
+  VisitTotals(revision.totals, take_count);
+  VisitBounds(revision.totals, [&](int64_t& coordinate) {
+    row.Take(coordinate);
+    row.Check(
+        coordinate >= -core::kLatticeLimit && coordinate <= core::kLatticeLimit,
+        "lies outside the lattice");
+  });
   ProductSummary product;
   const bool has_product = !row.TakeNull();
   if (has_product) row.TakeBlob(product.options);
-  VisitProductNumbers(product, take);
+  VisitProductCounts(product, take_count);
+  for (uint16_t& confidence : product.max_confidence) row.Take(confidence);
   if (has_product) spec.product = std::move(product);
   MAPSIEVE_RETURN_IF_ERROR(row.status());
   MAPSIEVE_ASSIGN_OR_RETURN(spec.attributes, DecodeAttributes(attributes));
@@ -231,20 +243,29 @@ absl::StatusOr<std::vector<std::string>> ListDeletedMaps(
   }
 }
 
-absl::Status PurgeMap(SqliteDatabase& database, const std::string& map_uid) {
+absl::StatusOr<bool> PurgePart(SqliteDatabase& database,
+                               const std::string& map_uid) {
   MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map, ReadMap(database, map_uid));
   if (!map.deleted) {
     return absl::FailedPreconditionError(absl::StrCat(
         "map ", map.record.spec.id, " is not deleted; delete it first"));
   }
-  for (const char* table : {"chunks", "tiles", "revisions", "maps"}) {
+  {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        SqliteStatement remove,
+        database.Prepare("DELETE FROM chunks WHERE number IN (SELECT number "
+                         "FROM chunks WHERE map_key = ? LIMIT ?)"));
+    MAPSIEVE_RETURN_IF_ERROR(remove.Bind(map.key).Bind(kChunksOfAPart).Run());
+  }
+  if (database.changed_row_count() == kChunksOfAPart) return false;
+  for (const char* table : {"tiles", "revisions", "maps"}) {
     MAPSIEVE_ASSIGN_OR_RETURN(
         SqliteStatement remove,
         database.Prepare(
             absl::StrCat("DELETE FROM ", table, " WHERE map_key = ?")));
     MAPSIEVE_RETURN_IF_ERROR(remove.Bind(map.key).Run());
   }
-  return absl::OkStatus();
+  return true;
 }
 
 absl::Status CheckRevisionNumber(const MapRow& map, int64_t number) {
@@ -290,15 +311,19 @@ absl::Status InsertRevision(SqliteDatabase& database, int64_t map_key,
       .Bind(spec.refused.non_finite)
       .Bind(spec.refused.out_of_lattice)
       .Bind(revision.processed_revision);
-  const auto bind = [&](const auto& field) { insert.Bind(field); };
+  const auto bind = [&](int64_t value) { insert.Bind(value); };
   VisitTotals(revision.totals, bind);
+  VisitBounds(revision.totals, bind);
   if (spec.product.has_value()) {
     insert.BindBlob(spec.product->options);
   } else {
     insert.BindNull();
   }
-  const ProductSummary none;
-  VisitProductNumbers(spec.product.has_value() ? *spec.product : none, bind);
+  const ProductSummary product = spec.product.value_or(ProductSummary());
+  VisitProductCounts(product, bind);
+  for (const uint16_t confidence : product.max_confidence) {
+    insert.Bind(confidence);
+  }
   return insert.Bind(map_key).Run();
 }
 

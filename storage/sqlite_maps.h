@@ -41,7 +41,9 @@ absl::StatusOr<std::vector<MapRecord>> ListMaps(SqliteDatabase& database,
 absl::Status DeleteMap(SqliteDatabase& database, const std::string& id);
 absl::StatusOr<std::vector<std::string>> ListDeletedMaps(
     SqliteDatabase& database, const std::string& after, int64_t max_count);
-absl::Status PurgeMap(SqliteDatabase& database, const std::string& map_uid);
+/// Does a part of PurgeMap; true once the map is purged whole.
+absl::StatusOr<bool> PurgePart(SqliteDatabase& database,
+                               const std::string& map_uid);
 
 /// kOutOfRange if the map has no revision of that number.
 absl::Status CheckRevisionNumber(const MapRow& map, int64_t number);

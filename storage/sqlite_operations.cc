@@ -19,15 +19,15 @@ constexpr char kSelectOperation[] =
 
 absl::StatusOr<OperationRecord> TakeOperation(SqliteStatement& row) {
   OperationRecord operation;
-  row.Take(operation.number)
+  row.TakeCount(operation.number)
       .Take(operation.id)
       .Take(operation.target)
       .Take(operation.verb)
       .TakeBlob(operation.request)
       .Take(operation.state)
       .Take(operation.cancel_requested)
-      .Take(operation.done_count)
-      .Take(operation.total_count)
+      .TakeCount(operation.done_count)
+      .TakeCount(operation.total_count)
       .Take(operation.error_code)
       .Take(operation.error_message)
       .TakeBlob(operation.response)

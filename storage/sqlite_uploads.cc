@@ -22,14 +22,14 @@ absl::StatusOr<UploadRecord> TakeUpload(SqliteStatement& row) {
   row.Take(upload.uid)
       .Take(upload.map_uid)
       .Take(upload.spec.id)
-      .Take(upload.spec.expected_bytes)
-      .Take(upload.spec.content_hash)
+      .Take(upload.spec.expected_bytes);
+  row.Check(upload.spec.expected_bytes.value_or(0) >= 0, "is negative");
+  row.Take(upload.spec.content_hash)
       .Take(upload.state)
-      .Take(upload.committed_bytes);
-  row.Check(upload.committed_bytes >= 0, "is negative");
-  row.Take(upload.create_time)
+      .TakeCount(upload.committed_bytes)
+      .Take(upload.create_time)
       .Take(upload.update_time)
-      .Take(upload.revision)
+      .TakeCount(upload.revision)
       .TakeBlob(upload.report);
   MAPSIEVE_RETURN_IF_ERROR(row.status());
   return upload;

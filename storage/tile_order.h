@@ -14,8 +14,7 @@ namespace mapsieve::storage {
 inline constexpr size_t kTileOrderKeyBytes = 18;
 
 /// A cell as a byte string: comparing the strings bytewise compares the cells
-/// by CellKeyLess. One byte holds the level, 17 the Morton code of the
-/// coordinates plus 2^42, the highest byte first. `cell` is valid (below).
+/// by CellKeyLess. FORMAT.md describes the bytes. `cell` is valid (below).
 std::string TileOrderKey(const core::CellKey& cell);
 
 /// The inverse. kDataLoss for bytes that are no key.

@@ -148,6 +148,24 @@ TEST_P(CatalogueTest, ADeletedMapIsGoneButReadableByUidUntilPurged) {
   EXPECT_THAT(*catalogue_->ListDeletedMaps("", 10), IsEmpty());
 }
 
+TEST_P(CatalogueTest, ALargeMapIsPurgedWhole) {
+  const MapRecord map = MakeMap("campus");
+  std::vector<ChunkRef> added;
+  std::vector<BlobId> blobs;
+  for (int i = 0; i < 9'000; ++i) {
+    added.push_back(
+        TestChunk(ChunkKind::kRaw, i % 100, i / 100, 0, std::to_string(i), 1));
+    blobs.push_back(added.back().blob_id);
+  }
+  Commit(map, 1, Adding(added));
+  MAPSIEVE_ASSERT_OK(catalogue_->DeleteMap("campus"));
+  MAPSIEVE_ASSERT_OK(catalogue_->PurgeMap(map.uid));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<bool> referenced,
+                                catalogue_->AreBlobsReferenced(blobs));
+  EXPECT_EQ(std::count(referenced.begin(), referenced.end(), true), 0);
+  EXPECT_THAT(*catalogue_->ListDeletedMaps("", 10), IsEmpty());
+}
+
 TEST_P(CatalogueTest, ARevisionKeepsAllThatItsCommitSaid) {
   const MapRecord map = MakeMap("campus");
   RevisionChange change;

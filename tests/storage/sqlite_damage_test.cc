@@ -164,6 +164,7 @@ TEST_F(SqliteDamageTest, ValuesOutOfRangeAreDataLoss) {
   spoil("UPDATE revisions SET kind = 99 WHERE number = 3");
   spoil("UPDATE maps SET tile_level = 64 WHERE id = 'two'");
   spoil("UPDATE uploads SET state = 0");
+  spoil("UPDATE chunks SET stored_bytes = -5 WHERE number = 60");
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto catalogue,
                                 OpenSqliteCatalogue(path_, IfAbsent::kFail));
   const auto data_loss = [](const char* what) {
@@ -175,6 +176,10 @@ TEST_F(SqliteDamageTest, ValuesOutOfRangeAreDataLoss) {
   EXPECT_THAT(catalogue->ListChunks(map.uid, 3, ChunkKind::kRaw, std::nullopt,
                                     std::nullopt, 100),
               data_loss("18 bytes, got 19"));
+  EXPECT_THAT(
+      catalogue->ListChunks(map.uid, 3, ChunkKind::kProduct, std::nullopt,
+                            std::nullopt, 100),
+      data_loss("chunk 60: stored_bytes: expected 1 to 2147483648, got -5"));
   EXPECT_THAT(catalogue->GetRevision(map.uid, 2), data_loss("attribute name"));
   EXPECT_THAT(catalogue->GetRevision(map.uid, 3),
               data_loss("(kind) is no enumerator"));
