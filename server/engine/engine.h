@@ -84,8 +84,8 @@ class Engine {
   virtual ~Engine() = default;
 
   /// Stops the operations that run, so that the next Open goes on with them,
-  /// and refuses new ones and new uploads with kUnavailable. Returns when none
-  /// runs. Reading goes on.
+  /// and refuses new ones with kUnavailable. Returns when none runs. All other
+  /// calls work as before.
   virtual void Shutdown() = 0;
 
   // Maps.
@@ -95,8 +95,8 @@ class Engine {
   virtual absl::StatusOr<MapInfo> GetMap(const std::string& map_id) = 0;
   /// By id.
   virtual absl::StatusOr<Page<MapInfo>> ListMaps(const PageRequest& page) = 0;
-  /// Removes the map with its revisions, uploads and finished operations.
-  /// Queries that read it may end with kNotFound.
+  /// Removes the map with its revisions, uploads and operations. Queries under
+  /// way go on.
   /// kFailedPrecondition: it has uploads that are neither finalized nor failed,
   /// or an operation that waits or runs, and not `force`; with it, the uploads
   /// are dropped, the operations cancelled and waited for.

@@ -2,10 +2,9 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <limits>
-#include <map>
 #include <memory>
 #include <set>
+#include <span>
 #include <string_view>
 #include <unordered_map>
 #include <utility>
@@ -13,6 +12,7 @@
 
 #include "core/base/hash.h"
 #include "core/base/status.h"
+#include "core/cloud/merge_duplicates.h"
 #include "core/codec/points_codec.h"
 #include "core/geometry/cell_key.h"
 #include "server/engine/attribute_schema.h"
@@ -29,35 +29,22 @@ using core::LatticePoint;
 /// Points by tile until they are written.
 class TileBuckets {
  public:
-  explicit TileBuckets(int tile_level) : tile_level_(tile_level) {}
-
   /// Estimated memory of all buckets.
   int64_t bytes() const { return bytes_; }
 
-  absl::Status Add(const LatticeCloud& block) {
-    std::map<CellKey, std::vector<uint32_t>, core::CellKeyLess> rows_by_tile;
-    CellKey last_key;
-    std::vector<uint32_t>* last = nullptr;
-    for (uint32_t row = 0; row < block.size(); ++row) {
-      const CellKey key = CellKey::Of(block.positions[row], tile_level_);
-      if (last == nullptr || !(key == last_key)) {
-        last_key = key;
-        last = &rows_by_tile[key];
-      }
-      last->push_back(row);
-    }
-    for (const auto& [key, rows] : rows_by_tile) {
-      LatticeCloud& bucket = buckets_[key];
-      bytes_ -= BytesOf(bucket);
-      const LatticeCloud part = block.Select(rows);
-      MAPSIEVE_RETURN_IF_ERROR(bucket.attributes.AppendAll(
-          bucket.size(), part.attributes, part.size()));
-      bucket.lattice = block.lattice;
+  /// Adds the points of `part`, all of them in `tile`.
+  absl::Status Add(const CellKey& tile, const LatticeCloud& part) {
+    LatticeCloud& bucket = buckets_[tile];
+    bytes_ -= BytesOf(bucket);
+    const absl::Status status = bucket.attributes.AppendAll(
+        bucket.size(), part.attributes, part.size());
+    bucket.lattice = part.lattice;
+    if (status.ok()) {
       bucket.positions.insert(bucket.positions.end(), part.positions.begin(),
                               part.positions.end());
-      bytes_ += BytesOf(bucket);
     }
-    return absl::OkStatus();
+    bytes_ += BytesOf(bucket);
+    return status;
   }
 
   /// Takes the fullest buckets until at most `target_bytes` are left.
@@ -93,7 +80,6 @@ class TileBuckets {
            128 * static_cast<int64_t>(bucket.attributes.columns().size());
   }
 
-  const int tile_level_;
   std::unordered_map<CellKey, LatticeCloud, core::CellKeyHash> buckets_;
   int64_t bytes_ = 0;
 };
@@ -108,7 +94,6 @@ class Ingest {
         upload_(upload),
         limits_(limits),
         context_(context),
-        buckets_(map.spec.tile_level),
         chunks_(store, storage::ChunkKind::kRaw, limits.chunk_bytes,
                 *context.executor) {}
 
@@ -133,9 +118,6 @@ class Ingest {
                                      block_count_, " at ", offset));
       }
       ++block_count_;
-      if (buckets_.bytes() > limits_.bucket_bytes) {
-        MAPSIEVE_RETURN_IF_ERROR(Flush(limits_.bucket_bytes / 2));
-      }
     }
     if (hasher.HexDigest() != upload_.spec.content_hash) {
       return absl::DataLossError(absl::StrCat(
@@ -222,11 +204,37 @@ class Ingest {
     MAPSIEVE_ASSIGN_OR_RETURN(
         const LatticeCloud points,
         core::DecodePoints(bytes, {.max_decoded_bytes = limits_.block_bytes}));
-    return buckets_.Add(points);
+    return AddPoints(points);
+  }
+
+  absl::Status AddPoints(const LatticeCloud& points) {
+    const auto tile_of = [&](uint32_t row) {
+      return CellKey::Of(points.positions[row], map_.spec.tile_level);
+    };
+    // In Morton order every tile is one range of rows.
+    const std::vector<uint32_t> order = core::MortonOrder(points.positions);
+    for (size_t begin = 0, end = 0; begin < order.size(); begin = end) {
+      const CellKey tile = tile_of(order[begin]);
+      while (end < order.size() && tile_of(order[end]) == tile) ++end;
+      MAPSIEVE_RETURN_IF_ERROR(buckets_.Add(
+          tile, points.Select(std::span(order).subspan(begin, end - begin))));
+      if (buckets_.bytes() > limits_.bucket_bytes) {
+        MAPSIEVE_RETURN_IF_ERROR(Flush(limits_.bucket_bytes / 2));
+      }
+    }
+    return absl::OkStatus();
   }
 
   absl::Status Flush(int64_t target_bytes) {
-    return chunks_.Write(buckets_.TakeFullest(target_bytes), context_.stop);
+    std::vector<TileCloud> clouds = buckets_.TakeFullest(target_bytes);
+    if (static_cast<int64_t>(chunks().size() + clouds.size()) >
+        limits_.chunk_count) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "the points lie in so many tiles of 2^", map_.spec.tile_level,
+          " steps that they make more than ", limits_.chunk_count,
+          " chunks; upload them in parts, or to a map with larger tiles"));
+    }
+    return chunks_.Write(std::move(clouds), context_.stop);
   }
 
   const storage::MapRecord& map_;
@@ -300,7 +308,8 @@ bool IsFinal(const absl::Status& status) {
 IngestLimits IngestLimits::Of(int64_t memory_bytes) {
   return {.block_bytes = std::min(memory_bytes / 4, kMaxUploadBlockBytes),
           .bucket_bytes = memory_bytes / 2,
-          .chunk_bytes = std::min(memory_bytes / 32, int64_t{16} << 20)};
+          .chunk_bytes = std::min(memory_bytes / 32, int64_t{16} << 20),
+          .chunk_count = memory_bytes / 512};
 }
 
 absl::StatusOr<UploadReport> AddUpload(storage::Store& store,

@@ -11,7 +11,7 @@
 
 namespace mapsieve::engine {
 
-/// How chunks and ingest share `memory_bytes`.
+/// How an upload that is added divides its memory.
 struct IngestLimits {
   /// Of an upload's block, encoded as well as decoded.
   int64_t block_bytes = 0;
@@ -19,6 +19,8 @@ struct IngestLimits {
   int64_t bucket_bytes = 0;
   /// Of a decoded chunk.
   int64_t chunk_bytes = 0;
+  /// Chunks of one upload: they become one commit.
+  int64_t chunk_count = 0;
 
   static IngestLimits Of(int64_t memory_bytes);
 };

@@ -131,7 +131,8 @@ struct RevisionInfo {
 
 // Uploads.
 
-/// Largest block of an upload, in its encoded form.
+/// Largest block of an upload, encoded as well as decoded; a 32nd of
+/// EngineOptions::memory_bytes if that is less.
 inline constexpr int64_t kMaxUploadBlockBytes = int64_t{64} << 20;
 /// Distinct attributes of a map.
 inline constexpr size_t kMaxMapAttributes = 1000;
@@ -139,7 +140,7 @@ inline constexpr size_t kMaxMapAttributes = 1000;
 inline constexpr std::string_view kReservedAttributePrefix = "spdf.";
 
 /// An upload to be opened. Its bytes are point blocks of core/codec back to
-/// back, of any size up to kMaxUploadBlockBytes.
+/// back.
 struct UploadSpec {
   /// [a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?.
   std::string upload_id;

@@ -22,10 +22,14 @@ using core::LatticeCloud;
 using core::SpdfOptions;
 
 /// So little that a bucket is written again and again.
-constexpr IngestLimits kTightLimits = {
-    .block_bytes = 1 << 20, .bucket_bytes = 400'000, .chunk_bytes = 20'000};
-constexpr IngestLimits kWideLimits = {
-    .block_bytes = 1 << 26, .bucket_bytes = 1 << 28, .chunk_bytes = 1 << 24};
+constexpr IngestLimits kTightLimits = {.block_bytes = 1 << 20,
+                                       .bucket_bytes = 400'000,
+                                       .chunk_bytes = 20'000,
+                                       .chunk_count = 100'000};
+constexpr IngestLimits kWideLimits = {.block_bytes = 1 << 26,
+                                      .bucket_bytes = 1 << 28,
+                                      .chunk_bytes = 1 << 24,
+                                      .chunk_count = 100'000};
 
 ProcessLimits UnitsOf(int64_t points) {
   return {
@@ -176,7 +180,8 @@ TEST(PipelineTest, AMillionPointsInOnePlaceAreOnePoint) {
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const UploadReport added,
                                 workshop.Add(cloud, {.block_bytes = 1 << 20,
                                                      .bucket_bytes = 4 << 20,
-                                                     .chunk_bytes = 1 << 20}));
+                                                     .chunk_bytes = 1 << 20,
+                                                     .chunk_count = 1000}));
   EXPECT_EQ(added.added_point_count, 1'000'000);
   EXPECT_EQ(added.tile_count, 1);
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport report,
@@ -199,6 +204,18 @@ TEST(PipelineTest, AMillionPointsInOnePlaceAreOnePoint) {
   const std::vector<uint32_t> expected = core::MergeDuplicates(cloud);
   EXPECT_EQ(stored.attributes.Find("number")->Get<int32_t>(0),
             cloud.attributes.Find("number")->Get<int32_t>(expected[0]));
+}
+
+TEST(PipelineTest, UploadOfTooManyTilesIsRefused) {
+  const LatticeCloud scene = MakeScene(7);
+  Workshop workshop(4);
+  IngestLimits limits = kWideLimits;
+  limits.chunk_count = 100;
+  EXPECT_THAT(workshop.Add(scene, limits),
+              mapsieve::testing::StatusIs(
+                  absl::StatusCode::kInvalidArgument,
+                  ::testing::HasSubstr("more than 100 chunks")));
+  EXPECT_EQ(workshop.map().newest_revision, 1);
 }
 
 TEST(PipelineTest, ChunksKeepTheirLimitAndStayInMortonOrder) {

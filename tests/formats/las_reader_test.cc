@@ -463,7 +463,7 @@ TEST(LasReader, IgnoresADescriptionLongerThanTheRecord) {
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(
       const PointCloud cloud,
       ReadBytes(LasText{.vlrs = {ExtraVlr({{.type = 1, .name = "a"},
-                                           {.type = 10, .name = "b"}})},
+                                           {.type = 3, .name = "b"}})},
                         .records = {Record0(0) + "12"}}
                     .Build()));
   EXPECT_EQ(cloud.attributes.Find("a"), nullptr);
@@ -516,11 +516,12 @@ TEST(LasReader, FindsTheCrs) {
     EXPECT_TRUE(reader.ok()) << reader.status();
     return reader.ok() ? (*reader)->info().crs_wkt : "";
   };
-  const auto keys = [](uint16_t key, uint16_t value) {
+  const auto keys = [](uint16_t projected, uint16_t geographic) {
     return Vlr("LASF_Projection", 34735,
-               Packed(uint16_t{1}, uint16_t{1}, uint16_t{0}, uint16_t{2},
-                      uint16_t{1024}, uint16_t{0}, uint16_t{1}, uint16_t{1},
-                      key, uint16_t{0}, uint16_t{1}, value));
+               Packed(uint16_t{1}, uint16_t{1}, uint16_t{0}, uint16_t{3},
+                      uint16_t{1026}, uint16_t{34737}, uint16_t{9}, uint16_t{7},
+                      uint16_t{3072}, uint16_t{0}, uint16_t{1}, projected,
+                      uint16_t{2048}, uint16_t{0}, uint16_t{1}, geographic));
   };
   const std::string wkt =
       Vlr("LASF_Projection", 2112, std::string("PROJCS[\"a\"]\0\0", 13));
@@ -529,13 +530,13 @@ TEST(LasReader, FindsTheCrs) {
   EXPECT_EQ(crs(text), "");
   text.vlrs = {liblas};
   EXPECT_EQ(crs(text), "PROJCS[\"b\"]");
-  text.vlrs = {keys(3072, 26915), liblas};
+  text.vlrs = {keys(26915, 4269), liblas};
   EXPECT_EQ(crs(text), "EPSG:26915");
-  text.vlrs = {keys(2048, 4326)};
+  text.vlrs = {keys(0, 4326)};
   EXPECT_EQ(crs(text), "EPSG:4326");
-  text.vlrs = {keys(3072, 32767)};
+  text.vlrs = {keys(32767, 32767)};
   EXPECT_EQ(crs(text), "");
-  text.vlrs = {wkt, keys(3072, 26915), liblas};
+  text.vlrs = {wkt, keys(26915, 4269), liblas};
   EXPECT_EQ(crs(text), "PROJCS[\"a\"]");
   text.vlrs = {};
   text.evlrs = {Evlr("other", 1, "payload"),
