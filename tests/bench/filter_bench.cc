@@ -1,0 +1,256 @@
+// Times the filter against one plain nanoflann pass over the same points, in
+// one run, and prints a table.
+//   filter_bench [--repeats N] [--threads N] [--rho M] [--sigma M2] [--reach M]
+//                [--neighbors K] CLOUD…
+// CLOUD is campus:N (N points of the simulated campus), campus:N:S (a rotation
+// every S metres: dense near the scanner as a standing scan is), or a file:
+// *.bin is float32 x y z, the rest by its extension.
+#include <sys/resource.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <fstream>
+#include <functional>
+#include <iostream>
+#include <string>
+#include <vector>
+
+#include "client/formats/point_file.h"
+#include "client/lab/simulate.h"
+#include "core/cloud/merge_duplicates.h"
+#include "core/spdf/cloud_filter.h"
+#include "tests/bench/nanoflann_pass.h"
+
+namespace mapsieve::bench {
+namespace {
+
+struct BenchOptions {
+  int repeats = 5;
+  int threads = 2;
+  core::SpdfOptions spdf = {.density_radius_m = 0.2};
+  std::vector<std::string> clouds;
+  /// Filter the one cloud and print what it needs of memory.
+  bool memory = false;
+};
+
+[[noreturn]] void Fail(const std::string& message) {
+  std::cerr << message << "\n";
+  std::exit(1);
+}
+
+template <typename T>
+T ValueOrDie(absl::StatusOr<T> value) {
+  if (!value.ok()) Fail(value.status().ToString());
+  return *std::move(value);
+}
+
+std::vector<core::Point3> Simulated(const std::string& spec) {
+  client::SimulateOptions options;
+  const size_t colon = spec.find(':');
+  options.point_count = std::atoll(spec.substr(0, colon).c_str());
+  if (colon != std::string::npos) {
+    options.rotation_spacing_m = std::atof(spec.substr(colon + 1).c_str());
+  }
+  client::CampusScanner scanner =
+      ValueOrDie(client::CampusScanner::Create(options));
+  std::vector<core::Point3> points;
+  points.reserve(static_cast<size_t>(options.point_count));
+  while (true) {
+    const core::PointCloud batch = ValueOrDie(scanner.NextBatch(100'000));
+    if (batch.size() == 0) return points;
+    points.insert(points.end(), batch.positions.begin(), batch.positions.end());
+  }
+}
+
+std::vector<core::Point3> ReadCloud(const std::string& name) {
+  constexpr std::string_view kCampus = "campus:";
+  if (name.starts_with(kCampus)) {
+    return Simulated(name.substr(kCampus.size()));
+  }
+  if (!name.ends_with(".bin")) {
+    return ValueOrDie(client::ReadPointFile(name, {})).positions;
+  }
+  std::ifstream file(name, std::ios::binary);
+  if (!file) Fail(name + ": cannot be opened");
+  std::vector<core::Point3> points;
+  std::array<float, 3> p;
+  while (file.read(reinterpret_cast<char*>(p.data()), sizeof(p))) {
+    points.push_back({p[0], p[1], p[2]});
+  }
+  return points;
+}
+
+double Seconds(const std::function<void()>& work) {
+  const auto start = std::chrono::steady_clock::now();
+  work();
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start)
+      .count();
+}
+
+struct FilterRun {
+  core::SpdfSummary summary;
+  size_t inliers = 0;
+};
+
+/// From points in file order to labelled output: DESIGN's filter_s.
+FilterRun Filter(const std::vector<core::Point3>& points,
+                 const core::SpdfOptions& options, Executor& executor) {
+  core::RefusedCounts refused;
+  const core::LatticeCloud cloud =
+      core::Quantize({points, {}}, core::Lattice(), refused);
+  const core::FilteredCloud filtered =
+      ValueOrDie(core::FilterCloud(cloud, options, {.executor = &executor}));
+  return {filtered.summary, filtered.Inliers(options.outlier_share).size()};
+}
+
+/// The distinct lattice points in Morton order, relative to the first.
+std::vector<std::array<float, 3>> Sorted(
+    const std::vector<core::Point3>& points) {
+  core::RefusedCounts refused;
+  const core::LatticeCloud cloud =
+      core::Quantize({points, {}}, core::Lattice(), refused);
+  std::vector<std::array<float, 3>> sorted;
+  const core::LatticePoint origin = cloud.positions.at(0);
+  const double step = cloud.lattice.step();
+  for (const core::LatticePoint& q : core::DistinctPoints(cloud.positions)) {
+    sorted.push_back({static_cast<float>(double(q.x - origin.x) * step),
+                      static_cast<float>(double(q.y - origin.y) * step),
+                      static_cast<float>(double(q.z - origin.z) * step)});
+  }
+  return sorted;
+}
+
+double Median(std::vector<double> values) {
+  std::sort(values.begin(), values.end());
+  return values[values.size() / 2];
+}
+
+int64_t PeakBytes() {
+  rusage usage;
+  getrusage(RUSAGE_SELF, &usage);
+  return usage.ru_maxrss * 1024;
+}
+
+/// Bytes a point at peak, input included, in a process of its own.
+double PeakBytesPerPoint(const char* program, const std::string& cloud,
+                         const BenchOptions& options) {
+  const std::string command =
+      std::string(program) + " --memory --rho " +
+      std::to_string(options.spdf.density_radius_m) + " --sigma " +
+      std::to_string(options.spdf.vote_scale_m2) + " --reach " +
+      std::to_string(options.spdf.reach_m) + " --threads " +
+      std::to_string(options.threads) + " '" + cloud + "'";
+  FILE* pipe = popen(command.c_str(), "r");
+  double value = 0;
+  if (pipe == nullptr || std::fscanf(pipe, "%lf", &value) != 1) {
+    Fail("cannot run " + command);
+  }
+  pclose(pipe);
+  return value;
+}
+
+void PrintMemory(const BenchOptions& options) {
+  const int64_t empty = PeakBytes();
+  std::vector<core::Point3> points = ReadCloud(options.clouds.at(0));
+  const auto count = static_cast<double>(points.size());
+  core::PointCloud input{std::move(points), {}};
+  core::RefusedCounts refused;
+  const core::LatticeCloud cloud =
+      core::Quantize(std::move(input), core::Lattice(), refused);
+  const std::unique_ptr<Executor> workers = MakeWorkerPool(options.threads);
+  const core::FilteredCloud filtered = ValueOrDie(
+      core::FilterCloud(cloud, options.spdf, {.executor = workers.get()}));
+  std::cout << static_cast<double>(PeakBytes() - empty) / count << "\n";
+}
+
+void Bench(const char* program, const std::string& name,
+           const BenchOptions& options) {
+  const std::vector<core::Point3> points = ReadCloud(name);
+  const std::vector<std::array<float, 3>> sorted = Sorted(points);
+  const std::unique_ptr<Executor> workers = MakeWorkerPool(options.threads);
+  core::SpdfOptions quota = options.spdf;
+  quota.rule = core::DensityRule::kQuota;
+  std::vector<double> pass_s;
+  std::vector<double> one_s;
+  std::vector<double> all_s;
+  std::vector<double> quota_s;
+  FilterRun run;
+  double sum = 0;
+  for (int i = 0; i < options.repeats; ++i) {
+    pass_s.push_back(Seconds([&] {
+      sum += NanoflannPass(sorted, options.spdf.neighbor_count);
+    }));
+    one_s.push_back(Seconds(
+        [&] { run = Filter(points, options.spdf, InlineExecutor()); }));
+    all_s.push_back(
+        Seconds([&] { Filter(points, options.spdf, *workers); }));
+    quota_s.push_back(
+        Seconds([&] { Filter(points, quota, InlineExecutor()); }));
+  }
+  if (!(sum > 0)) Fail(name + ": no neighbours");
+  const double pass = Median(pass_s);
+  std::printf(
+      "| %s | %lld | %.3f | %.3f | %.2f | %.2f | %.2f | %.0f | %lld | %zu |\n",
+      name.substr(name.rfind('/') + 1).c_str(),
+      static_cast<long long>(run.summary.point_count), pass, Median(one_s),
+      Median(one_s) / pass, Median(one_s) / Median(all_s),
+      Median(quota_s) / pass, PeakBytesPerPoint(program, name, options),
+      static_cast<long long>(run.summary.survivor_count), run.inliers);
+  std::fflush(stdout);
+}
+
+BenchOptions ParseOptions(int argc, char** argv) {
+  BenchOptions options;
+  for (int i = 1; i < argc; ++i) {
+    const std::string_view arg = argv[i];
+    const auto value = [&] {
+      if (i + 1 >= argc) Fail(std::string(arg) + " needs a value");
+      return std::atof(argv[++i]);
+    };
+    if (arg == "--memory") {
+      options.memory = true;
+    } else if (arg == "--repeats") {
+      options.repeats = static_cast<int>(value());
+    } else if (arg == "--threads") {
+      options.threads = static_cast<int>(value());
+    } else if (arg == "--rho") {
+      options.spdf.density_radius_m = value();
+    } else if (arg == "--sigma") {
+      options.spdf.vote_scale_m2 = value();
+    } else if (arg == "--reach") {
+      options.spdf.reach_m = value();
+    } else if (arg == "--neighbors") {
+      options.spdf.neighbor_count = static_cast<int>(value());
+    } else if (arg.starts_with("--")) {
+      Fail("unknown option " + std::string(arg));
+    } else {
+      options.clouds.emplace_back(arg);
+    }
+  }
+  if (options.clouds.empty()) Fail("name a cloud: campus:N or a file");
+  return options;
+}
+
+}  // namespace
+}  // namespace mapsieve::bench
+
+int main(int argc, char** argv) {
+  using namespace mapsieve::bench;
+  const BenchOptions options = ParseOptions(argc, argv);
+  if (options.memory) {
+    PrintMemory(options);
+    return 0;
+  }
+  std::printf(
+      "| cloud | distinct points | nanoflann pass s | filter s | ratio | "
+      "%d threads: times faster | quota: ratio | peak bytes/point | "
+      "after rounds | after outliers |\n|---|---|---|---|---|---|---|---|---|---|\n",
+      options.threads);
+  for (const std::string& cloud : options.clouds) {
+    Bench(argv[0], cloud, options);
+  }
+}
