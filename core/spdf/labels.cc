@@ -13,6 +13,14 @@ void LabelColumns::Reserve(size_t size) {
   tangent.reserve(size);
 }
 
+void LabelColumns::Resize(size_t size) {
+  label.resize(size);
+  confidence.resize(size);
+  lambda.resize(size);
+  normal.resize(size);
+  tangent.resize(size);
+}
+
 void LabelColumns::Append(const LabelColumns& other, size_t i) {
   label.push_back(other.label[i]);
   confidence.push_back(other.confidence[i]);

@@ -29,6 +29,7 @@ struct LabelColumns {
 
   size_t size() const { return label.size(); }
   void Reserve(size_t size);
+  void Resize(size_t size);
   void Append(const LabelColumns& other, size_t i);
 
   friend bool operator==(const LabelColumns&, const LabelColumns&) = default;

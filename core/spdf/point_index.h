@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/executor.h"
 #include "core/geometry/lattice.h"
 #include "core/spdf/kernels.h"
 
@@ -24,9 +25,10 @@ struct IndexBox {
   int64_t Extent() const;
 };
 
-/// A binary tree over points that are sorted in Morton order: a node is a range
-/// of points, split where the highest differing bit of their coordinates
-/// changes, with their tight box. Immutable; thread-safe.
+/// Points in Morton order, each with a number that the caller knows it by, and
+/// a binary tree over them: a node is a range of points, split where the
+/// highest differing bit of their coordinates changes, with their tight box.
+/// Const methods are thread-safe.
 class PointIndex {
  public:
   static constexpr uint32_t kLeafSize = 32;
@@ -35,27 +37,53 @@ class PointIndex {
     IndexBox box;
     uint32_t begin = 0;
     uint32_t end = 0;
-    /// The right child follows the left one; 0 for a leaf.
-    uint32_t left = 0;
-    uint32_t parent = 0;
+    /// The left child follows its parent; 0 for a leaf.
+    uint32_t right = 0;
+
+    uint32_t size() const { return end - begin; }
+    bool is_leaf() const { return right == 0; }
   };
 
-  PointIndex() = default;
-  /// Distinct points in Morton order, relative to `origin`.
-  PointIndex(const LatticePoint& origin, std::vector<int32_t> x,
-             std::vector<int32_t> y, std::vector<int32_t> z);
+  explicit PointIndex(const LatticePoint& origin) : origin_(origin) {}
 
-  size_t size() const { return x_.size(); }
-  std::span<const Node> nodes() const { return nodes_; }
-  /// Node numbers of the leaves, in point order.
-  std::span<const uint32_t> leaves() const { return leaves_; }
+  void Reserve(size_t size);
+  /// Adds a point, distinct from the others and after them in Morton order;
+  /// coordinates within 2^30 steps of the origin. To be followed by Build.
+  void Append(const LatticePoint& point, uint32_t number) {
+    Append(static_cast<int32_t>(point.x - origin_.x),
+           static_cast<int32_t>(point.y - origin_.y),
+           static_cast<int32_t>(point.z - origin_.z), number);
+  }
 
-  const std::vector<int32_t>& x() const { return x_; }
-  const std::vector<int32_t>& y() const { return y_; }
-  const std::vector<int32_t>& z() const { return z_; }
+  /// Keeps the points with keep(number); the others go to removed(x, y, z,
+  /// number), coordinates relative to the origin. To be followed by Build if
+  /// it returns true: points were removed.
+  template <typename Keep, typename Removed>
+  bool Filter(const Keep& keep, const Removed& removed);
+  void Append(int32_t x, int32_t y, int32_t z, uint32_t number);
+
+  /// Builds the tree; the same for any executor.
+  void Build(Executor& executor);
+
+  size_t size() const { return numbers_.size(); }
+  const LatticePoint& origin() const { return origin_; }
+  /// The caller's number of each point.
+  std::span<const uint32_t> numbers() const { return numbers_; }
+  LatticePoint Position(uint32_t i) const {
+    return {origin_.x + x_[i], origin_.y + y_[i], origin_.z + z_[i]};
+  }
+  std::array<int32_t, 3> Coordinates(uint32_t i) const {
+    return {x_[i], y_[i], z_[i]};
+  }
   IndexBox PointBox(uint32_t i) const {
     return {{x_[i], y_[i], z_[i]}, {x_[i], y_[i], z_[i]}};
   }
+  /// Coordinates of all points, padded for kernels.
+  GatherSource source() const { return {x_.data(), y_.data(), z_.data()}; }
+
+  /// Every node before its children, left before right; the first is the root.
+  /// Empty for no points.
+  std::span<const Node> nodes() const { return nodes_; }
 
   using Range = std::pair<uint32_t, uint32_t>;
   /// Ranges [first, second), ascending and disjoint, that hold every point
@@ -64,67 +92,39 @@ class PointIndex {
   void FindRanges(const IndexBox& box, int64_t radius,
                   std::vector<Range>& ranges) const;
 
-  /// An upper bound of the distance from any point of node `leaf` to its
-  /// `count`-th nearest other point: the diagonal of the smallest ancestor
-  /// with more than `count` points. INT32_MAX if the whole index has fewer.
-  int64_t NeighborDistanceBound(uint32_t leaf, int count) const;
-
  private:
-  void Build();
+  void Resize(size_t size);
+  uint32_t Split(uint32_t begin, uint32_t end) const;
+  IndexBox BoxOf(uint32_t begin, uint32_t end) const;
+  /// Appends the tree over [begin, end) to `nodes`.
+  void AppendTree(uint32_t begin, uint32_t end, std::vector<Node>& nodes) const;
 
   LatticePoint origin_;
+  // Coordinates hold kKernelPadding values more than there are points.
   std::vector<int32_t> x_;
   std::vector<int32_t> y_;
   std::vector<int32_t> z_;
+  std::vector<uint32_t> numbers_;
   std::vector<Node> nodes_;
-  std::vector<uint32_t> leaves_;
 };
 
-/// Candidates copied out of an index around a box of query points, relative to
-/// its centre. Reused from one leaf to the next.
-class GatheredBlock {
- public:
-  /// Gathers every point within `radius` steps of `box`. Box extents are at
-  /// most kMaxRadiusSteps.
-  void Gather(const PointIndex& index, const IndexBox& box, int64_t radius);
-
-  /// Drops candidates that cannot be among the `neighbor_count` nearest others
-  /// of any point of the box, which hold at least one point of the index.
-  void KeepNearest(int neighbor_count);
-
-  /// A squared distance from the point at (x, y, z), relative to the centre,
-  /// within which the block holds every point, and after KeepNearest
-  /// neighbor_count others of it if `radius` does; at most `limit_d2`.
-  int32_t CompleteWithin(int32_t x, int32_t y, int32_t z,
-                         int32_t limit_d2) const;
-
-  CandidateBlock block() const {
-    return {x_.data(), y_.data(), z_.data(), static_cast<int>(ids_.size())};
+template <typename Keep, typename Removed>
+bool PointIndex::Filter(const Keep& keep, const Removed& removed) {
+  const size_t size = numbers_.size();
+  size_t kept = 0;
+  for (size_t i = 0; i < size; ++i) {
+    if (!keep(numbers_[i])) {
+      removed(x_[i], y_[i], z_[i], numbers_[i]);
+      continue;
+    }
+    x_[kept] = x_[i];
+    y_[kept] = y_[i];
+    z_[kept] = z_[i];
+    numbers_[kept++] = numbers_[i];
   }
-  /// Index positions of the candidates, ascending.
-  const std::vector<uint32_t>& ids() const { return ids_; }
-  KernelScratch scratch();
-  /// Coordinates of index point `i` relative to the block's centre.
-  std::array<int32_t, 3> Relative(const PointIndex& index, uint32_t i) const {
-    return {index.x()[i] - center_[0], index.y()[i] - center_[1],
-            index.z()[i] - center_[2]};
-  }
-
- private:
-  std::array<int32_t, 3> center_{};
-  /// No point of the box is farther from the centre.
-  int64_t half_diagonal_ = 0;
-  int64_t radius_ = 0;
-  /// As many points as KeepNearest keeps for the centre lie within it.
-  int64_t nearest_radius_ = 0;
-  std::vector<int32_t> x_;
-  std::vector<int32_t> y_;
-  std::vector<int32_t> z_;
-  std::vector<uint32_t> ids_;
-  std::vector<PointIndex::Range> ranges_;
-  std::vector<int32_t> d2_;
-  std::vector<int32_t> members_;
-};
+  Resize(kept);
+  return kept != size;
+}
 
 }  // namespace mapsieve::core
 

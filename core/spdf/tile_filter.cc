@@ -152,36 +152,38 @@ class LockStepFilter {
     for (const auto& [tile, near] : halo) wanted.push_back(tile);
     for (size_t t = unit.first; t < unit.second; ++t) wanted.push_back(t);
     std::sort(wanted.begin(), wanted.end());
-    std::vector<LatticePoint> points;
-    std::vector<uint8_t> is_core;
+    loaded.unit = std::make_unique<WorkUnit>(tiles_[unit.first].key.corner(),
+                                             options_, constants_);
+    WorkUnit& work = *loaded.unit;
+    size_t core_points = 0;
+    for (size_t t = unit.first; t < unit.second; ++t) {
+      core_points += static_cast<size_t>(tiles_[t].point_count);
+    }
+    work.Reserve(core_points);
     for (const size_t t : wanted) {
       MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
       MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> tile_points,
                                 store_.LoadPoints(tiles_[t].key));
       LoadedTile tile{.tile = t,
                       .is_core = t >= unit.first && t < unit.second,
-                      .begin = points.size()};
+                      .begin = work.size()};
       if (tile.is_core) {
-        points.insert(points.end(), tile_points.begin(), tile_points.end());
+        for (const LatticePoint& q : tile_points) work.Append(q, true);
       } else {
         for (uint32_t row = 0; row < tile_points.size(); ++row) {
           for (const size_t core : halo[t]) {
             if (tiles_[core].key.box().Grown(margin).Contains(
                     tile_points[row])) {
-              points.push_back(tile_points[row]);
+              work.Append(tile_points[row], false);
               tile.rows.push_back(row);
               break;
             }
           }
         }
       }
-      tile.end = points.size();
-      is_core.resize(points.size(), tile.is_core ? 1 : 0);
+      tile.end = work.size();
       loaded.tiles.push_back(std::move(tile));
     }
-    loaded.unit =
-        std::make_unique<WorkUnit>(tiles_[unit.first].key.corner(), points,
-                                   std::move(is_core), options_, constants_);
     return loaded;
   }
 
@@ -367,11 +369,15 @@ class LockStepFilter {
       TileResult result{
           .key = tiles_[tile.tile].key,
           .point_count = static_cast<int64_t>(tile.end - tile.begin)};
+      while (next < labeled.points.size() &&
+             labeled.points[next] < tile.begin) {
+        ++next;
+      }
       for (; next < labeled.points.size() && labeled.points[next] < tile.end;
            ++next) {
         const uint32_t point = labeled.points[next];
         result.rows.push_back(point - static_cast<uint32_t>(tile.begin));
-        result.positions.push_back(loaded.unit->Position(point));
+        result.positions.push_back(loaded.unit->SurvivorPosition(next));
         result.columns.Append(labeled.columns, next);
         ++summary_
               .label_counts[static_cast<size_t>(labeled.columns.label[next])];

@@ -1,33 +1,40 @@
 #include "core/spdf/work_unit.h"
 
 #include <algorithm>
+#include <atomic>
+#include <bit>
 #include <cmath>
-#include <limits>
-#include <numeric>
+#include <cstring>
 #include <utility>
 
 #include "core/base/hash.h"
 #include "core/base/status.h"
+#include "core/geometry/octahedral.h"
 #include "core/geometry/symmetric3.h"
+#include "core/spdf/integer_root.h"
 #include "core/spdf/strength_tests.h"
 
 namespace mapsieve::core {
 namespace {
 
-/// Leaves of one task: enough to hide its start, few enough to balance.
-constexpr int64_t kLeavesPerTask = 64;
+/// Points of one task: enough to hide its start, few enough to balance.
+constexpr uint32_t kTaskPoints = 2048;
+
+/// Nearby points that are evaluated together. They share one gathered block:
+/// many make it cheap, few keep it small.
+constexpr uint32_t kGroupPoints = 32;
+/// Wanted points that lie among so many others are still nearby.
+constexpr uint32_t kGroupSpread = 128;
+
+constexpr int64_t kUnbounded = int64_t{1} << 40;
 
 /// Share of flagged points that survive a draw, in units of 2^-24.
 constexpr double kJunctionSurvival = 0.2;
 constexpr double kOtherSurvival = 0.5;
 
-int64_t CeilRoot(int64_t square) {
-  return static_cast<int64_t>(
-      std::ceil(std::sqrt(static_cast<double>(square))));
-}
-
+/// Most points settle within 1.25 times the density radius: the rounds look no
+/// farther unless that leaves a point undecided.
 int32_t EarlyRadius(const SpdfConstants& constants) {
-  // 1.25 times the density radius.
   return static_cast<int32_t>(std::min<int64_t>(
       constants.reach_d2, int64_t{constants.density_d2} * 25 / 16 + 1));
 }
@@ -35,92 +42,6 @@ int32_t EarlyRadius(const SpdfConstants& constants) {
 double ToStrength(int32_t sum, int neighbor_count) {
   return static_cast<double>(sum) / (neighbor_count * 0x1p24);
 }
-
-}  // namespace
-
-WorkUnit::WorkUnit(const LatticePoint& origin,
-                   std::span<const LatticePoint> points,
-                   std::vector<uint8_t> is_core, const SpdfOptions& options,
-                   const SpdfConstants& constants)
-    : options_(options),
-      constants_(constants),
-      origin_(origin),
-      early_d2_(EarlyRadius(constants)),
-      // The slack covers the rounding of a weight that need not be monotone.
-      early_weight_(ActiveKernels().weight(early_d2_, constants.weight_scale) +
-                    2),
-      is_core_(std::move(is_core)),
-      deaths_(points.size(), kAlive),
-      round_states_(points.size()) {
-  x_.reserve(points.size());
-  y_.reserve(points.size());
-  z_.reserve(points.size());
-  for (const LatticePoint& q : points) {
-    x_.push_back(static_cast<int32_t>(q.x - origin.x));
-    y_.push_back(static_cast<int32_t>(q.y - origin.y));
-    z_.push_back(static_cast<int32_t>(q.z - origin.z));
-  }
-}
-
-LatticePoint WorkUnit::Position(uint32_t point) const {
-  return {origin_.x + x_[point], origin_.y + y_[point], origin_.z + z_[point]};
-}
-
-PointIndex WorkUnit::MakeIndex(std::span<const uint32_t> points) const {
-  std::vector<int32_t> x(points.size());
-  std::vector<int32_t> y(points.size());
-  std::vector<int32_t> z(points.size());
-  for (size_t i = 0; i < points.size(); ++i) {
-    x[i] = x_[points[i]];
-    y[i] = y_[points[i]];
-    z[i] = z_[points[i]];
-  }
-  return {origin_, std::move(x), std::move(y), std::move(z)};
-}
-
-void WorkUnit::IndexSurvivors(int round) {
-  if (indexed_round_ == round) return;
-  size_t count = 0;
-  for (const DeathRound death : deaths_) count += death > round ? 1 : 0;
-  // Nobody died since: the index stands.
-  const bool unchanged = indexed_round_ >= 0 && round > indexed_round_ &&
-                         count == index_points_.size();
-  indexed_round_ = round;
-  if (unchanged) return;
-  index_points_.clear();
-  index_points_.reserve(count);
-  for (uint32_t i = 0; i < deaths_.size(); ++i) {
-    if (deaths_[i] > round) index_points_.push_back(i);
-  }
-  index_ = MakeIndex(index_points_);
-}
-
-template <typename IsWanted, typename Visit>
-absl::Status WorkUnit::ForEachGroup(const ExecutionContext& context,
-                                    const IsWanted& is_wanted,
-                                    const Visit& visit) {
-  const auto leaves = index_.leaves();
-  const auto leaf_count = static_cast<int64_t>(leaves.size());
-  const int64_t task_count = (leaf_count + kLeavesPerTask - 1) / kLeavesPerTask;
-  context.executor->ParallelFor(task_count, [&](int64_t task) {
-    if (context.stop.stop_requested()) return;
-    GatheredBlock block;
-    std::vector<uint32_t> wanted;
-    const int64_t end = std::min(leaf_count, (task + 1) * kLeavesPerTask);
-    for (int64_t l = task * kLeavesPerTask; l < end; ++l) {
-      const uint32_t leaf = leaves[static_cast<size_t>(l)];
-      const PointIndex::Node& node = index_.nodes()[leaf];
-      wanted.clear();
-      for (uint32_t i = node.begin; i < node.end; ++i) {
-        if (is_wanted(i)) wanted.push_back(i);
-      }
-      if (!wanted.empty()) visit(block, leaf, std::span(wanted));
-    }
-  });
-  return context.CheckStop();
-}
-
-namespace {
 
 IndexBox BoxOf(const PointIndex& index, std::span<const uint32_t> points) {
   IndexBox box = index.PointBox(points[0]);
@@ -147,317 +68,577 @@ int64_t GroupExtent(int64_t radius) {
   return std::min<int64_t>(2 * radius, kMaxRadiusSteps);
 }
 
+/// Longest distance of two points of a box.
+int64_t Diagonal(const IndexBox& box) {
+  int64_t square = 0;
+  for (size_t a = 0; a < 3; ++a) {
+    // Capped so that the square fits; the bound is only used below it.
+    const int64_t edge =
+        std::min<int64_t>(int64_t{box.max[a]} - box.min[a], int64_t{1} << 30);
+    square += edge * edge;
+  }
+  return CeilRoot(square);
+}
+
 }  // namespace
 
-RoundState WorkUnit::Evaluate(const BallSums& sums) const {
-  if (!MayBeFlagged(sums.c0, constants_)) return {};
-  return {sums.radius_d2, StrengthFlags(sums, constants_)};
+WorkUnit::WorkUnit(const LatticePoint& origin, const SpdfOptions& options,
+                   const SpdfConstants& constants)
+    : options_(options), constants_(constants), index_(origin), dead_(origin) {}
+
+void WorkUnit::Reserve(size_t size) {
+  index_.Reserve(size);
+  is_core_.reserve(size);
+  deaths_.reserve(size);
 }
 
-void WorkUnit::EvaluateGroup(GatheredBlock& block, uint32_t leaf,
-                             std::span<const uint32_t> wanted) {
-  const Kernels& kernels = ActiveKernels();
-  const int k = constants_.neighbor_count;
-  const int64_t bound = index_.NeighborDistanceBound(leaf, k);
-  std::vector<uint32_t> undecided;
-  const auto query_all = [&](std::span<const uint32_t> points, int32_t d2) {
-    const bool early = d2 < constants_.reach_d2;
-    const int64_t radius = std::min(CeilRoot(d2), bound);
-    SplitWide(
-        index_, points, GroupExtent(radius),
-        [&](const IndexBox& box, std::span<const uint32_t> part) {
-          block.Gather(index_, box, radius);
-          block.KeepNearest(k);
-          const KernelScratch scratch = block.scratch();
-          for (const uint32_t i : part) {
-            const auto [x, y, z] = block.Relative(index_, i);
-            BallSums sums;
-            kernels.ball_vote(block.block(),
-                              {x, y, z, k, block.CompleteWithin(x, y, z, d2),
-                               constants_.weight_scale},
-                              scratch, &sums);
-            if (early && sums.member_count < k) {
-              const int64_t most =
-                  sums.c0 + int64_t{k - sums.member_count} * early_weight_;
-              if (MayBeFlagged(most, constants_)) {
-                undecided.push_back(i);
-                continue;
+void WorkUnit::Append(const LatticePoint& point, bool is_core) {
+  index_.Append(point, static_cast<uint32_t>(deaths_.size()));
+  is_core_.push_back(is_core ? 1 : 0);
+  deaths_.push_back(kAlive);
+}
+
+void WorkUnit::IndexSurvivors(int round, const ExecutionContext& context) {
+  if (indexed_round_ == round) return;
+  dead_ = PointIndex(index_.origin());
+  const bool removed =
+      index_.Filter([&](uint32_t number) { return deaths_[number] > round; },
+                    [&](int32_t x, int32_t y, int32_t z, uint32_t number) {
+                      if (deaths_[number] == round)
+                        dead_.Append(x, y, z, number);
+                    });
+  if (removed || indexed_round_ < 0) index_.Build(*context.executor);
+  dead_.Build(*context.executor);
+  indexed_round_ = round;
+}
+
+template <typename IsWanted, typename MakeVisitor>
+absl::Status WorkUnit::ForEachGroup(const ExecutionContext& context,
+                                    const IsWanted& is_wanted,
+                                    const MakeVisitor& make_visitor) const {
+  using Node = PointIndex::Node;
+  const std::span<const Node> nodes = index_.nodes();
+  const auto k = static_cast<uint32_t>(constants_.neighbor_count);
+  const auto bound_within = [&](const Node& node, int64_t bound) {
+    return node.size() > k ? std::min(bound, Diagonal(node.box)) : bound;
+  };
+  struct Task {
+    uint32_t node;
+    int64_t bound;
+  };
+  std::vector<Task> tasks;
+  const auto add_tasks = [&](const auto& self, uint32_t n,
+                             int64_t bound) -> void {
+    const Node& node = nodes[n];
+    bound = bound_within(node, bound);
+    if (node.size() <= kTaskPoints || node.is_leaf()) {
+      tasks.push_back({n, bound});
+      return;
+    }
+    self(self, n + 1, bound);
+    self(self, node.right, bound);
+  };
+  if (!nodes.empty()) add_tasks(add_tasks, 0, kUnbounded);
+
+  context.executor->ParallelFor(
+      static_cast<int64_t>(tasks.size()), [&](int64_t t) {
+        if (context.stop.stop_requested()) return;
+        auto visitor = make_visitor();
+        std::vector<uint32_t> wanted;
+        const auto visit = [&](const auto& self, uint32_t n,
+                               int64_t bound) -> void {
+          const Node& node = nodes[n];
+          bound = bound_within(node, bound);
+          if (node.is_leaf() || node.size() <= kGroupSpread) {
+            wanted.clear();
+            for (uint32_t i = node.begin; i < node.end; ++i) {
+              const uint32_t number = index_.numbers()[i];
+              if (is_core_[number] != 0 && is_wanted(number)) {
+                wanted.push_back(i);
               }
             }
-            round_states_[index_points_[i]] = Evaluate(sums);
+            if (wanted.empty()) return;
+            if (node.is_leaf() || wanted.size() <= kGroupPoints) {
+              visitor(bound, std::span<const uint32_t>(wanted));
+              return;
+            }
           }
-        });
-  };
-  query_all(wanted, early_d2_);
-  if (!undecided.empty()) {
-    const std::vector<uint32_t> rest = std::move(undecided);
-    undecided.clear();
-    query_all(rest, constants_.reach_d2);
-  }
+          self(self, n + 1, bound);
+          self(self, node.right, bound);
+        };
+        const Task& task = tasks[static_cast<size_t>(t)];
+        visit(visit, task.node, task.bound);
+      });
+  return context.CheckStop();
 }
 
-bool WorkUnit::SurvivesDraws(uint32_t point, int round) const {
-  const LatticePoint q = Position(point);
-  for (const Label test : {Label::kJunction, Label::kCurve, Label::kSurface}) {
-    const auto number = static_cast<unsigned>(test);
-    if ((round_states_[point].flags >> number & 1) == 0) continue;
-    const int64_t key[6] = {q.x, q.y, q.z, round, number, options_.seed};
-    const auto draw = static_cast<double>(HashIntegers(key) >> 40);
-    const double survival =
-        test == Label::kJunction ? kJunctionSurvival : kOtherSurvival;
-    if (draw >= survival * 0x1p24) return false;
-  }
-  return true;
+template <typename Use>
+void WorkUnit::CastBallVotes(GatheredBlock& block, int64_t bound,
+                             int32_t limit_d2, std::span<const uint32_t> points,
+                             const Use& use) const {
+  const Kernels& kernels = ActiveKernels();
+  const int k = constants_.neighbor_count;
+  const int64_t radius = std::min(CeilRoot(limit_d2), bound);
+  SplitWide(
+      index_, points, GroupExtent(radius),
+      [&](const IndexBox& box, std::span<const uint32_t> part) {
+        block.GatherNearest(box, radius, k);
+        const KernelScratch scratch = block.scratch();
+        BallSums sums;
+        std::array<int32_t, 3> last{};
+        int64_t last_radius = kUnbounded;
+        for (const uint32_t i : part) {
+          const auto [x, y, z] = block.Relative(i);
+          int32_t bound_d2 = block.CompleteWithin(x, y, z, limit_d2);
+          if (last_radius != kUnbounded) {
+            // k + 1 points lie within the last point's radius of it.
+            const int64_t dx = x - last[0];
+            const int64_t dy = y - last[1];
+            const int64_t dz = z - last[2];
+            const int64_t far =
+                last_radius + CeilRoot(dx * dx + dy * dy + dz * dz);
+            bound_d2 =
+                static_cast<int32_t>(std::min<int64_t>(bound_d2, far * far));
+          }
+          kernels.ball_vote(block.block(),
+                            {x, y, z, k, bound_d2, constants_.weight_scale},
+                            scratch, &sums);
+          last = {x, y, z};
+          last_radius =
+              sums.member_count == k ? CeilRoot(sums.radius_d2) : kUnbounded;
+          use(i, sums);
+        }
+      });
 }
+
+class WorkUnit::RoundVisitor {
+ public:
+  RoundVisitor(WorkUnit& unit, int round, std::atomic<int64_t>& died,
+               std::atomic<int64_t>& flagged)
+      : unit_(unit),
+        constants_(unit.constants_),
+        round_(round),
+        died_(died),
+        flagged_(flagged),
+        early_d2_(EarlyRadius(constants_)),
+        // The slack covers the rounding of a weight that need not be monotone.
+        early_weight_(
+            ActiveKernels().weight(early_d2_, constants_.weight_scale) + 2),
+        block_(unit.index_),
+        dead_block_(unit.dead_) {}
+
+  void operator()(int64_t bound, std::span<const uint32_t> active) {
+    if (round_ == 1) {
+      Evaluate(bound, active);
+    } else if (unit_.dead_.size() > 0) {
+      FindTouched(active);
+      if (!touched_.empty()) Evaluate(bound, touched_);
+    }
+    Draw(active);
+  }
+
+ private:
+  RoundState& StateOf(uint32_t i) {
+    return unit_.round_states_[unit_.index_.numbers()[i]];
+  }
+
+  /// Makes touched_ those of `active` with a dead point among their
+  /// neighbours. A neighbourhood changes only where one of its points died; a
+  /// re-evaluation that was not needed changes nothing.
+  void FindTouched(std::span<const uint32_t> active) {
+    const Kernels& kernels = ActiveKernels();
+    touched_.clear();
+    SplitWide(unit_.index_, active, kMaxRadiusSteps,
+              [&](const IndexBox& box, std::span<const uint32_t> part) {
+                int32_t largest = 0;
+                for (const uint32_t i : part) {
+                  largest = std::max(largest, StateOf(i).radius_d2);
+                }
+                dead_block_.Gather(box, CeilRoot(largest));
+                const CandidateBlock near = dead_block_.block();
+                if (near.count == 0) return;
+                for (const uint32_t i : part) {
+                  const auto [x, y, z] =
+                      dead_block_.RelativeOf(unit_.index_, i);
+                  if (kernels.any_within(near, x, y, z, StateOf(i).radius_d2)) {
+                    touched_.push_back(i);
+                  }
+                }
+              });
+  }
+
+  void Evaluate(int64_t bound, std::span<const uint32_t> points) {
+    const int k = constants_.neighbor_count;
+    undecided_.clear();
+    unit_.CastBallVotes(
+        block_, bound, early_d2_, points,
+        [&](uint32_t i, const BallSums& sums) {
+          // Without all neighbours, whatever is missing lies beyond.
+          const int64_t missing =
+              early_d2_ < constants_.reach_d2 ? k - sums.member_count : 0;
+          const int64_t most = sums.c0 + missing * early_weight_;
+          if (!MayBeFlagged(most, constants_)) {
+            StateOf(i) = {};
+          } else if (missing > 0) {
+            undecided_.push_back(i);
+          } else {
+            StateOf(i) = {sums.radius_d2, StrengthFlags(sums, constants_)};
+          }
+        });
+    if (undecided_.empty()) return;
+    unit_.CastBallVotes(
+        block_, bound, constants_.reach_d2, undecided_,
+        [&](uint32_t i, const BallSums& sums) {
+          StateOf(i) = {};
+          if (MayBeFlagged(sums.c0, constants_)) {
+            StateOf(i) = {sums.radius_d2, StrengthFlags(sums, constants_)};
+          }
+        });
+  }
+
+  void Draw(std::span<const uint32_t> active) {
+    int64_t died = 0;
+    int64_t flagged = 0;
+    for (const uint32_t i : active) {
+      RoundState& state = StateOf(i);
+      if (state.flags == 0) continue;
+      if (SurvivesDraws(i, state.flags)) {
+        ++flagged;
+      } else {
+        unit_.deaths_[unit_.index_.numbers()[i]] =
+            static_cast<DeathRound>(round_);
+        state = {};
+        ++died;
+      }
+    }
+    died_.fetch_add(died, std::memory_order_relaxed);
+    flagged_.fetch_add(flagged, std::memory_order_relaxed);
+  }
+
+  bool SurvivesDraws(uint32_t i, uint32_t flags) const {
+    const LatticePoint q = unit_.index_.Position(i);
+    for (const Label test :
+         {Label::kJunction, Label::kCurve, Label::kSurface}) {
+      const auto number = static_cast<unsigned>(test);
+      if ((flags >> number & 1) == 0) continue;
+      const int64_t key[6] = {q.x,    q.y,    q.z,
+                              round_, number, unit_.options_.seed};
+      const auto draw = static_cast<double>(HashIntegers(key) >> 40);
+      const double survival =
+          test == Label::kJunction ? kJunctionSurvival : kOtherSurvival;
+      if (draw >= survival * 0x1p24) return false;
+    }
+    return true;
+  }
+
+  WorkUnit& unit_;
+  const SpdfConstants& constants_;
+  const int round_;
+  std::atomic<int64_t>& died_;
+  std::atomic<int64_t>& flagged_;
+  const int32_t early_d2_;
+  /// An upper bound of the weight of a voter beyond it.
+  const int32_t early_weight_;
+  GatheredBlock block_;
+  GatheredBlock dead_block_;
+  std::vector<uint32_t> touched_;
+  std::vector<uint32_t> undecided_;
+};
 
 absl::StatusOr<WorkUnit::RoundCounts> WorkUnit::RunPaperRound(
     int round, const ExecutionContext& context) {
-  const int previous = round - 1;
-  IndexSurvivors(previous);
-  const auto is_core = [&](uint32_t i) {
-    return is_core_[index_points_[i]] != 0;
-  };
-  const auto evaluate = [&](GatheredBlock& block, uint32_t leaf,
-                            std::span<const uint32_t> wanted) {
-    EvaluateGroup(block, leaf, wanted);
-  };
-  if (round == 1) {
-    MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(context, is_core, evaluate));
-  } else {
-    std::vector<uint32_t> dead;
-    for (uint32_t i = 0; i < deaths_.size(); ++i) {
-      if (deaths_[i] == previous) dead.push_back(i);
-    }
-    const PointIndex dead_index = MakeIndex(dead);
-    const auto is_active = [&](uint32_t i) {
-      return is_core(i) && round_states_[index_points_[i]].radius_d2 > 0;
-    };
-    // A neighbourhood changes only where one of its points died; a
-    // re-evaluation that was not needed changes nothing.
-    const auto evaluate_touched = [&](GatheredBlock& block, uint32_t leaf,
-                                      std::span<const uint32_t> active) {
-      std::vector<uint32_t> touched;
-      SplitWide(index_, active, kMaxRadiusSteps,
-                [&](const IndexBox& box, std::span<const uint32_t> part) {
-                  int32_t largest = 0;
-                  for (const uint32_t i : part) {
-                    largest = std::max(
-                        largest, round_states_[index_points_[i]].radius_d2);
-                  }
-                  block.Gather(dead_index, box, CeilRoot(largest));
-                  const CandidateBlock near = block.block();
-                  if (near.count == 0) return;
-                  const KernelScratch scratch = block.scratch();
-                  for (const uint32_t i : part) {
-                    const auto [x, y, z] = block.Relative(index_, i);
-                    ActiveKernels().distances(near, x, y, z, scratch.d2);
-                    const int32_t nearest =
-                        *std::min_element(scratch.d2, scratch.d2 + near.count);
-                    if (nearest <= round_states_[index_points_[i]].radius_d2) {
-                      touched.push_back(i);
-                    }
-                  }
-                });
-      if (!touched.empty()) EvaluateGroup(block, leaf, touched);
-    };
-    if (!dead.empty()) {
-      MAPSIEVE_RETURN_IF_ERROR(
-          ForEachGroup(context, is_active, evaluate_touched));
-    }
-  }
-  RoundCounts counts;
-  for (const uint32_t point : index_points_) {
-    if (is_core_[point] == 0 || round_states_[point].flags == 0) continue;
-    if (SurvivesDraws(point, round)) {
-      ++counts.flagged;
-    } else {
-      deaths_[point] = static_cast<DeathRound>(round);
-      round_states_[point] = {};
-      ++counts.died;
-    }
-  }
-  return counts;
+  IndexSurvivors(round - 1, context);
+  if (round == 1) round_states_.assign(size(), {});
+  std::atomic<int64_t> died = 0;
+  std::atomic<int64_t> flagged = 0;
+  MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
+      context,
+      [&](uint32_t number) {
+        return round == 1 || round_states_[number].radius_d2 > 0;
+      },
+      [&] { return RoundVisitor(*this, round, died, flagged); }));
+  return RoundCounts{died.load(), flagged.load()};
 }
+
+class WorkUnit::QuotaVisitor {
+ public:
+  explicit QuotaVisitor(WorkUnit& unit) : unit_(unit), block_(unit.index_) {}
+
+  void operator()(int64_t, std::span<const uint32_t> points) {
+    const int64_t radius = CeilRoot(unit_.constants_.density_d2);
+    SplitWide(unit_.index_, points, GroupExtent(radius),
+              [&](const IndexBox& box, std::span<const uint32_t> part) {
+                block_.Gather(box, radius);
+                // Fewer than k others, and all may stay.
+                const auto k =
+                    static_cast<size_t>(unit_.constants_.neighbor_count);
+                if (block_.ids().size() > k) Decide(part);
+              });
+  }
+
+ private:
+  uint64_t Priority(uint32_t i) const {
+    const LatticePoint q = unit_.index_.Position(i);
+    const int64_t key[4] = {q.x, q.y, q.z, unit_.options_.seed};
+    return HashIntegers(key);
+  }
+
+  void Decide(std::span<const uint32_t> points) {
+    const int k = unit_.constants_.neighbor_count;
+    const int32_t radius_d2 = unit_.constants_.density_d2;
+    const std::span<const int32_t> ids = block_.ids();
+    priorities_.clear();
+    for (const int32_t i : ids) {
+      priorities_.push_back(Priority(static_cast<uint32_t>(i)));
+    }
+    // The upper halves, in the order of signed integers.
+    upper_.assign(ids.size() + kKernelPadding, 0);
+    for (size_t i = 0; i < ids.size(); ++i) {
+      upper_[i] = static_cast<int32_t>(priorities_[i] >> 32 ^ 0x80000000u);
+    }
+    auto at = ids.begin();
+    for (const uint32_t i : points) {
+      at = std::find(at, ids.end(), static_cast<int32_t>(i));
+      const auto self = static_cast<size_t>(at - ids.begin());
+      const auto [x, y, z] = block_.Relative(i);
+      const auto count = [&](int32_t priority) {
+        return ActiveKernels().count_better(block_.block(), upper_.data(), x, y,
+                                            z, radius_d2, priority, k);
+      };
+      if (count(upper_[self]) >= k ||
+          (HasTwin(self) && CountBetter(self) >= k)) {
+        unit_.deaths_[unit_.index_.numbers()[i]] = 1;
+      }
+    }
+  }
+
+  /// Whether another point of the block has the same upper half.
+  bool HasTwin(size_t self) const {
+    return std::count(upper_.begin(), upper_.end() - kKernelPadding,
+                      upper_[self]) > 1;
+  }
+
+  /// Points within the density radius of candidate `self` that are better than
+  /// it, by the whole priority, ties by coordinate.
+  int CountBetter(size_t self) const {
+    const std::span<const int32_t> ids = block_.ids();
+    const auto rank = [&](size_t i) {
+      return std::pair(priorities_[i],
+                       unit_.index_.Position(static_cast<uint32_t>(ids[i])));
+    };
+    const auto [x, y, z] = block_.Relative(static_cast<uint32_t>(ids[self]));
+    int better = 0;
+    for (size_t i = 0; i < ids.size(); ++i) {
+      const auto [ox, oy, oz] = block_.Relative(static_cast<uint32_t>(ids[i]));
+      const int32_t dx = ox - x;
+      const int32_t dy = oy - y;
+      const int32_t dz = oz - z;
+      if (dx * dx + dy * dy + dz * dz <= unit_.constants_.density_d2 &&
+          rank(i) < rank(self)) {
+        ++better;
+      }
+    }
+    return better;
+  }
+
+  WorkUnit& unit_;
+  GatheredBlock block_;
+  std::vector<uint64_t> priorities_;
+  std::vector<int32_t> upper_;
+};
 
 absl::Status WorkUnit::RunQuota(const ExecutionContext& context) {
-  IndexSurvivors(0);
-  std::vector<uint64_t> priorities(index_points_.size());
-  context.executor->ParallelFor(
-      static_cast<int64_t>(priorities.size() + 8191) / 8192, [&](int64_t task) {
-        const auto begin = static_cast<size_t>(task) * 8192;
-        const size_t end = std::min(begin + 8192, priorities.size());
-        for (size_t i = begin; i < end; ++i) {
-          const LatticePoint q = Position(index_points_[i]);
-          const int64_t key[4] = {q.x, q.y, q.z, options_.seed};
-          priorities[i] = HashIntegers(key);
-        }
-      });
-  const int64_t radius = CeilRoot(constants_.density_d2);
+  IndexSurvivors(0, context);
   return ForEachGroup(
-      context, [&](uint32_t i) { return is_core_[index_points_[i]] != 0; },
-      [&](GatheredBlock& block, uint32_t, std::span<const uint32_t> wanted) {
-        SplitWide(
-            index_, wanted, GroupExtent(radius),
-            [&](const IndexBox& box, std::span<const uint32_t> part) {
-              block.Gather(index_, box, radius);
-              std::vector<uint64_t> local;
-              local.reserve(block.ids().size());
-              for (const uint32_t i : block.ids()) {
-                local.push_back(priorities[i]);
-              }
-              auto at = block.ids().begin();
-              for (const uint32_t i : part) {
-                at = std::find(at, block.ids().end(), i);
-                const auto self = static_cast<int>(at - block.ids().begin());
-                const int better = ActiveKernels().count_better(
-                    block.block(), local.data(), self, constants_.density_d2);
-                if (better >= constants_.neighbor_count) {
-                  deaths_[index_points_[i]] = 1;
-                }
-              }
-            });
-      });
+      context, [](uint32_t) { return true; },
+      [&] { return QuotaVisitor(*this); });
 }
+
+class WorkUnit::VoterVisitor {
+ public:
+  explicit VoterVisitor(WorkUnit& unit) : unit_(unit), block_(unit.index_) {}
+
+  void operator()(int64_t bound, std::span<const uint32_t> points) {
+    const int k = unit_.constants_.neighbor_count;
+    unit_.CastBallVotes(block_, bound, unit_.constants_.reach_d2, points,
+                        [&](uint32_t i, const BallSums& s) {
+                          // T = C0 I - A / 2.
+                          const double c0 = ToStrength(s.c0, k);
+                          const double tensor[6] = {
+                              c0 - ToStrength(s.xx, k) / 2,
+                              -ToStrength(s.xy, k) / 2,
+                              -ToStrength(s.xz, k) / 2,
+                              c0 - ToStrength(s.yy, k) / 2,
+                              -ToStrength(s.yz, k) / 2,
+                              c0 - ToStrength(s.c0 - s.xx - s.yy, k) / 2};
+                          for (size_t e = 0; e < 6; ++e)
+                            batch_.entry[e][pending_] = tensor[e];
+                          numbers_[pending_] = unit_.index_.numbers()[i];
+                          radius_d2_[pending_] = s.radius_d2;
+                          if (++pending_ == EigenBatch::kSize) Flush();
+                        });
+    Flush();
+  }
+
+ private:
+  void Flush() {
+    if (pending_ == 0) return;
+    ActiveKernels().find_eigenvalues(&batch_);
+    const auto& value = batch_.value;
+    const auto& t = batch_.entry;
+    for (size_t i = 0; i < pending_; ++i) {
+      const double smallest = std::min({value[0][i], value[1][i], value[2][i]});
+      unit_.voters_[numbers_[i]] = {
+          {static_cast<float>(t[0][i] - smallest), static_cast<float>(t[1][i]),
+           static_cast<float>(t[2][i]), static_cast<float>(t[3][i] - smallest),
+           static_cast<float>(t[4][i]), static_cast<float>(t[5][i] - smallest)},
+          radius_d2_[i]};
+    }
+    pending_ = 0;
+  }
+
+  WorkUnit& unit_;
+  GatheredBlock block_;
+  EigenBatch batch_;
+  size_t pending_ = 0;
+  std::array<uint32_t, EigenBatch::kSize> numbers_{};
+  std::array<int32_t, EigenBatch::kSize> radius_d2_{};
+};
 
 absl::Status WorkUnit::ComputeVoters(const ExecutionContext& context) {
-  IndexSurvivors(kAlive - 1);
+  round_states_ = {};
+  IndexSurvivors(kAlive - 1, context);
   voters_.resize(size());
-  const Kernels& kernels = ActiveKernels();
-  const int k = constants_.neighbor_count;
   return ForEachGroup(
-      context, [&](uint32_t i) { return is_core_[index_points_[i]] != 0; },
-      [&](GatheredBlock& block, uint32_t leaf,
-          std::span<const uint32_t> wanted) {
-        const int64_t radius = std::min(CeilRoot(constants_.reach_d2),
-                                        index_.NeighborDistanceBound(leaf, k));
-        SplitWide(index_, wanted, GroupExtent(radius),
-                  [&](const IndexBox& box, std::span<const uint32_t> part) {
-                    block.Gather(index_, box, radius);
-                    block.KeepNearest(k);
-                    const KernelScratch scratch = block.scratch();
-                    for (const uint32_t i : part) {
-                      const auto [x, y, z] = block.Relative(index_, i);
-                      BallSums s;
-                      kernels.ball_vote(
-                          block.block(),
-                          {x, y, z, k,
-                           block.CompleteWithin(x, y, z, constants_.reach_d2),
-                           constants_.weight_scale},
-                          scratch, &s);
-                      // T = C0 I - A / 2.
-                      const double c0 = ToStrength(s.c0, k);
-                      const Symmetric3 t = {
-                          c0 - ToStrength(s.xx, k) / 2,
-                          -ToStrength(s.xy, k) / 2,
-                          -ToStrength(s.xz, k) / 2,
-                          c0 - ToStrength(s.yy, k) / 2,
-                          -ToStrength(s.yz, k) / 2,
-                          c0 - ToStrength(s.c0 - s.xx - s.yy, k) / 2};
-                      const double smallest = SmallestEigenvalue(t);
-                      voters_[index_points_[i]] = {
-                          {{static_cast<float>(t.xx - smallest),
-                            static_cast<float>(t.xy), static_cast<float>(t.xz),
-                            static_cast<float>(t.yy - smallest),
-                            static_cast<float>(t.yz),
-                            static_cast<float>(t.zz - smallest)}},
-                          s.radius_d2};
-                    }
-                  });
-      });
+      context, [](uint32_t) { return true; },
+      [&] { return VoterVisitor(*this); });
 }
 
-namespace {
+class WorkUnit::LabelVisitor {
+ public:
+  LabelVisitor(const WorkUnit& unit, LabelColumns& columns)
+      : unit_(unit), columns_(columns), block_(unit.index_) {}
 
-/// Writes entry `i` of `columns` from the aware vote of a point.
-void LabelPoint(const VoteSums& sums, int neighbor_count, LabelColumns& columns,
-                size_t i) {
-  if (sums.member_count == 0) {
-    columns.label[i] = Label::kNone;
-    return;
+  void operator()(int64_t, std::span<const uint32_t> points) {
+    SplitWide(unit_.index_, points, kMaxRadiusSteps,
+              [&](const IndexBox& box, std::span<const uint32_t> part) {
+                Vote(box, part);
+              });
+    Flush();
   }
-  const EigenSystem3 eigen = Decompose(
-      {ToStrength(sums.xx, neighbor_count), ToStrength(sums.xy, neighbor_count),
-       ToStrength(sums.xz, neighbor_count), ToStrength(sums.yy, neighbor_count),
-       ToStrength(sums.yz, neighbor_count),
-       ToStrength(sums.zz, neighbor_count)});
-  std::array<float, 3>& lambda = columns.lambda[i];
-  for (size_t d = 0; d < 3; ++d) {
-    lambda[d] = static_cast<float>(eigen.values[d]);
-  }
-  const float surface = lambda[0] - lambda[1];
-  const float curve = lambda[1] - lambda[2];
-  const float junction = lambda[2];
-  // Ties go to the surface, then to the curve.
-  Label label = Label::kSurface;
-  float saliency = surface;
-  if (curve > saliency) {
-    label = Label::kCurve;
-    saliency = curve;
-  }
-  if (junction > saliency) {
-    label = Label::kJunction;
-    saliency = junction;
-  }
-  columns.label[i] = label;
-  const double scaled = std::nearbyint(static_cast<double>(saliency) * 65535.0);
-  columns.confidence[i] =
-      static_cast<uint16_t>(std::clamp(scaled, 0.0, 65535.0));
-  columns.normal[i] = EncodeOctahedral(WithCanonicalSign(eigen.vectors[0]));
-  columns.tangent[i] = EncodeOctahedral(WithCanonicalSign(eigen.vectors[2]));
-}
 
-}  // namespace
+ private:
+  const VoterState& VoterOf(uint32_t i) const {
+    return unit_.voters_[unit_.index_.numbers()[i]];
+  }
+
+  void Vote(const IndexBox& box, std::span<const uint32_t> points) {
+    const Kernels& kernels = ActiveKernels();
+    const SpdfConstants& constants = unit_.constants_;
+    int32_t largest = 0;
+    for (const uint32_t i : points) {
+      largest = std::max(largest, VoterOf(i).radius_d2);
+    }
+    block_.Gather(box, CeilRoot(largest));
+    const std::span<const int32_t> ids = block_.ids();
+    const size_t room = ids.size() + 2 * kKernelPadding;
+    tensors_.resize(12 * room);
+    VoterTensors tensors;
+    KernelScratch scratch = block_.scratch();
+    for (size_t e = 0; e < 6; ++e) {
+      tensors.entry[e] = tensors_.data() + e * room;
+      scratch.entry[e] = tensors_.data() + (6 + e) * room;
+    }
+    for (size_t c = 0; c < ids.size(); ++c) {
+      const VoterState& voter = VoterOf(static_cast<uint32_t>(ids[c]));
+      for (size_t e = 0; e < 6; ++e) {
+        tensors_[e * room + c] = std::bit_cast<int32_t>(voter.tensor[e]);
+      }
+    }
+    for (const uint32_t i : points) {
+      const auto [x, y, z] = block_.Relative(i);
+      VoteSums sums;
+      kernels.aware_vote(block_.block(),
+                         {x, y, z, constants.neighbor_count,
+                          VoterOf(i).radius_d2, constants.weight_scale},
+                         tensors, scratch, &sums);
+      if (sums.member_count == 0) {
+        columns_.label[i] = Label::kNone;
+        continue;
+      }
+      const int32_t entries[6] = {sums.xx, sums.xy, sums.xz,
+                                  sums.yy, sums.yz, sums.zz};
+      for (size_t e = 0; e < 6; ++e) {
+        batch_.entry[e][pending_] =
+            ToStrength(entries[e], constants.neighbor_count);
+      }
+      rows_[pending_] = i;
+      if (++pending_ == EigenBatch::kSize) Flush();
+    }
+  }
+
+  void Flush() {
+    if (pending_ == 0) return;
+    ActiveKernels().decompose(&batch_);
+    for (size_t i = 0; i < pending_; ++i) WriteLabel(i);
+    pending_ = 0;
+  }
+
+  void WriteLabel(size_t i) {
+    std::array<size_t, 3> order = {0, 1, 2};
+    const auto value = [&](size_t d) { return batch_.value[order[d]][i]; };
+    // Equal eigenvalues keep their order.
+    if (value(0) < value(1)) std::swap(order[0], order[1]);
+    if (value(1) < value(2)) std::swap(order[1], order[2]);
+    if (value(0) < value(1)) std::swap(order[0], order[1]);
+    const auto vector = [&](size_t d) {
+      const auto& v = batch_.vector[order[d]];
+      return WithCanonicalSign({v[0][i], v[1][i], v[2][i]});
+    };
+    const uint32_t row = rows_[i];
+    std::array<float, 3>& lambda = columns_.lambda[row];
+    for (size_t d = 0; d < 3; ++d) lambda[d] = static_cast<float>(value(d));
+    const float surface = lambda[0] - lambda[1];
+    const float curve = lambda[1] - lambda[2];
+    const float junction = lambda[2];
+    // Ties go to the surface, then to the curve.
+    Label label = Label::kSurface;
+    float saliency = surface;
+    if (curve > saliency) {
+      label = Label::kCurve;
+      saliency = curve;
+    }
+    if (junction > saliency) {
+      label = Label::kJunction;
+      saliency = junction;
+    }
+    columns_.label[row] = label;
+    const double scaled =
+        std::nearbyint(static_cast<double>(saliency) * 65535.0);
+    columns_.confidence[row] =
+        static_cast<uint16_t>(std::clamp(scaled, 0.0, 65535.0));
+    columns_.normal[row] = EncodeOctahedral(vector(0));
+    columns_.tangent[row] = EncodeOctahedral(vector(2));
+  }
+
+  const WorkUnit& unit_;
+  LabelColumns& columns_;
+  GatheredBlock block_;
+  std::vector<int32_t> tensors_;
+  EigenBatch batch_;
+  size_t pending_ = 0;
+  std::array<uint32_t, EigenBatch::kSize> rows_{};
+};
 
 absl::StatusOr<WorkUnit::Labeled> WorkUnit::CastAwareVotes(
     const ExecutionContext& context) {
-  IndexSurvivors(kAlive - 1);
-  const Kernels& kernels = ActiveKernels();
-  const int k = constants_.neighbor_count;
-  // Row of each index point in the result.
-  std::vector<uint32_t> rows(index_points_.size());
-  Labeled result;
-  for (size_t i = 0; i < index_points_.size(); ++i) {
-    rows[i] = static_cast<uint32_t>(result.points.size());
-    if (is_core_[index_points_[i]] != 0) {
-      result.points.push_back(index_points_[i]);
-    }
-  }
-  LabelColumns& columns = result.columns;
-  columns.label.resize(result.points.size());
-  columns.confidence.resize(result.points.size());
-  columns.lambda.resize(result.points.size());
-  columns.normal.resize(result.points.size());
-  columns.tangent.resize(result.points.size());
-
+  IndexSurvivors(kAlive - 1, context);
+  Labeled result{.points = index_.numbers()};
+  result.columns.Resize(index_.size());
   MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
-      context, [&](uint32_t i) { return is_core_[index_points_[i]] != 0; },
-      [&](GatheredBlock& block, uint32_t, std::span<const uint32_t> wanted) {
-        SplitWide(index_, wanted, kMaxRadiusSteps,
-                  [&](const IndexBox& box, std::span<const uint32_t> part) {
-                    int32_t largest = 0;
-                    for (const uint32_t i : part) {
-                      largest = std::max(largest,
-                                         voters_[index_points_[i]].radius_d2);
-                    }
-                    block.Gather(index_, box, CeilRoot(largest));
-                    const KernelScratch scratch = block.scratch();
-                    std::vector<VoterTensor> tensors;
-                    tensors.reserve(block.ids().size());
-                    for (const uint32_t i : block.ids()) {
-                      tensors.push_back(voters_[index_points_[i]].tensor);
-                    }
-                    for (const uint32_t i : part) {
-                      const auto [x, y, z] = block.Relative(index_, i);
-                      VoteSums sums;
-                      kernels.aware_vote(
-                          block.block(),
-                          {x, y, z, k, voters_[index_points_[i]].radius_d2,
-                           constants_.weight_scale},
-                          tensors.data(), scratch, &sums);
-                      LabelPoint(sums, k, columns, rows[i]);
-                    }
-                  });
-      }));
+      context, [](uint32_t) { return true; },
+      [&] { return LabelVisitor(*this, result.columns); }));
+  voters_ = {};
   return result;
 }
 

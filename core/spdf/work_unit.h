@@ -9,6 +9,7 @@
 #include "absl/status/statusor.h"
 #include "core/base/executor.h"
 #include "core/geometry/lattice.h"
+#include "core/spdf/gathered_block.h"
 #include "core/spdf/kernels.h"
 #include "core/spdf/labels.h"
 #include "core/spdf/point_index.h"
@@ -31,8 +32,8 @@ struct RoundState {
 
 /// What the aware vote needs of a survivor.
 struct VoterState {
-  /// Ball tensor / k less its smallest eigenvalue.
-  VoterTensor tensor;
+  /// Ball tensor / k less its smallest eigenvalue: xx xy xz yy yz zz.
+  std::array<float, 6> tensor{};
   int32_t radius_d2 = 0;
 };
 
@@ -43,18 +44,21 @@ struct VoterState {
 /// or on the number of workers. Not thread-safe; steps use the executor.
 class WorkUnit {
  public:
-  /// `points`: distinct, in Morton order; every coordinate within 2^30 steps
-  /// of `origin`. `is_core`: one byte a point.
-  WorkUnit(const LatticePoint& origin, std::span<const LatticePoint> points,
-           std::vector<uint8_t> is_core, const SpdfOptions& options,
+  /// A unit without points; every coordinate is to be within 2^30 steps of
+  /// `origin`.
+  WorkUnit(const LatticePoint& origin, const SpdfOptions& options,
            const SpdfConstants& constants);
 
-  size_t size() const { return deaths_.size(); }
-  LatticePoint Position(uint32_t point) const;
+  void Reserve(size_t size);
+  /// Adds a point, distinct from the others and after them in Morton order.
+  void Append(const LatticePoint& point, bool is_core);
 
-  /// One entry a point, both written by the steps for core points; of halo
-  /// points the deaths are to be set before a step, the state is not used.
+  size_t size() const { return deaths_.size(); }
+
+  /// One entry a point, written by the steps for core points; of halo points
+  /// they are to be set before a step.
   std::vector<DeathRound>& deaths() { return deaths_; }
+  /// Of core points, written by RunPaperRound; given up by ComputeVoters.
   std::vector<RoundState>& round_states() { return round_states_; }
 
   /// Rule kPaper: evaluates core points on the survivors of `round` - 1 (all
@@ -74,52 +78,58 @@ class WorkUnit {
 
   /// Ball votes of the surviving core points; halo: one reach.
   absl::Status ComputeVoters(const ExecutionContext& context);
-  /// One entry a point; of halo points to be set before CastAwareVotes.
+  /// One entry a point; of halo points to be set before CastAwareVotes, which
+  /// gives them up.
   std::vector<VoterState>& voters() { return voters_; }
 
-  /// Aware votes and labels of the surviving core points, in order.
+  /// The survivors, halo included, in order, and the aware votes and labels of
+  /// those of the core.
   struct Labeled {
-    /// Numbers of the points in the unit, ascending.
-    std::vector<uint32_t> points;
+    /// Numbers of the points in the unit, ascending; valid as long as it is.
+    std::span<const uint32_t> points;
     LabelColumns columns;
   };
   absl::StatusOr<Labeled> CastAwareVotes(const ExecutionContext& context);
+  /// Position of the i-th survivor.
+  LatticePoint SurvivorPosition(size_t i) const {
+    return index_.Position(static_cast<uint32_t>(i));
+  }
 
  private:
-  /// Makes index_ hold the points whose death is later than `round`.
-  void IndexSurvivors(int round);
-  PointIndex MakeIndex(std::span<const uint32_t> points) const;
+  /// Makes index_ hold the points whose death is later than `round`, and dead_
+  /// those that died in it.
+  void IndexSurvivors(int round, const ExecutionContext& context);
 
-  /// Calls visit(block, leaf_number, wanted index points) for groups of wanted
-  /// points of each leaf, from many tasks; `is_wanted(index point)`.
-  template <typename IsWanted, typename Visit>
+  /// Calls make_visitor() in each of many tasks, and what it returns for
+  /// groups of nearby wanted core points: visitor(bound, index points). Each
+  /// point of a group has the wanted number of neighbours within `bound` steps,
+  /// if that is not kUnbounded. `is_wanted(number)`.
+  template <typename IsWanted, typename MakeVisitor>
   absl::Status ForEachGroup(const ExecutionContext& context,
-                            const IsWanted& is_wanted, const Visit& visit);
+                            const IsWanted& is_wanted,
+                            const MakeVisitor& make_visitor) const;
 
-  void EvaluateGroup(GatheredBlock& block, uint32_t leaf,
-                     std::span<const uint32_t> wanted);
-  RoundState Evaluate(const BallSums& sums) const;
-  bool SurvivesDraws(uint32_t point, int round) const;
+  /// Calls use(index point, sums) with the ball votes of some points from
+  /// neighbours within limit_d2; `bound` as in ForEachGroup.
+  template <typename Use>
+  void CastBallVotes(GatheredBlock& block, int64_t bound, int32_t limit_d2,
+                     std::span<const uint32_t> points, const Use& use) const;
+
+  class RoundVisitor;
+  class QuotaVisitor;
+  class VoterVisitor;
+  class LabelVisitor;
 
   const SpdfOptions options_;
   const SpdfConstants constants_;
-  const LatticePoint origin_;
-  /// Squared radius searched first in the rounds; most points settle within.
-  const int32_t early_d2_;
-  /// An upper bound of the weight of a voter beyond it.
-  const int32_t early_weight_;
-
-  std::vector<int32_t> x_;
-  std::vector<int32_t> y_;
-  std::vector<int32_t> z_;
   std::vector<uint8_t> is_core_;
   std::vector<DeathRound> deaths_;
   std::vector<RoundState> round_states_;
   std::vector<VoterState> voters_;
 
-  /// Survivors of indexed_round_, and the unit's number of each.
+  /// Survivors of indexed_round_, and who died in it.
   PointIndex index_;
-  std::vector<uint32_t> index_points_;
+  PointIndex dead_;
   int indexed_round_ = -1;
 };
 

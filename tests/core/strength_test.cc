@@ -60,27 +60,32 @@ std::array<double, 3> MeanEigenvalues(int dimension, int k, int draws,
   std::array<int64_t, 5> a{};
   // The kernel takes 127 neighbours at most; larger k are summed in parts.
   constexpr int kPart = 100;
-  std::vector<int32_t> d2(kPart + 2);
-  std::vector<int32_t> members(kPart + 2);
+  constexpr size_t kRoom = kPart + 1 + 2 * kKernelPadding;
+  std::vector<int32_t> d2(kRoom);
+  std::vector<int32_t> near_xy(kRoom);
+  std::vector<int32_t> near_z(kRoom);
   for (int draw = 0; draw < draws; ++draw) {
     for (int done = 0; done < k; done += kPart) {
       const int count = std::min(kPart, k - done);
-      std::vector<int32_t> x = {0};
-      std::vector<int32_t> y = {0};
+      std::vector<int32_t> xy = {0};
       std::vector<int32_t> z = {0};
-      while (static_cast<int>(x.size()) <= count) {
+      while (static_cast<int>(xy.size()) <= count) {
         const double p[3] = {uniform(random),
                              dimension > 1 ? uniform(random) : 0,
                              dimension > 2 ? uniform(random) : 0};
         if (p[0] * p[0] + p[1] * p[1] + p[2] * p[2] > 1) continue;
-        x.push_back(static_cast<int32_t>(std::lround(p[0] * rho / step)));
-        y.push_back(static_cast<int32_t>(std::lround(p[1] * rho / step)));
-        z.push_back(static_cast<int32_t>(std::lround(p[2] * rho / step)));
+        const auto steps = [&](double u) {
+          return static_cast<int32_t>(std::lround(u * rho / step));
+        };
+        xy.push_back(PackXy(steps(p[0]), steps(p[1])));
+        z.push_back(PackZ(steps(p[2])));
       }
+      xy.resize(xy.size() + kKernelPadding);
+      z.resize(xy.size(), PackZ(kFarAway));
       BallSums sums;
-      ActiveKernels().ball_vote({x.data(), y.data(), z.data(), count + 1},
-                                {0, 0, 0, count, 1 << 30, scale},
-                                {d2.data(), members.data()}, &sums);
+      ActiveKernels().ball_vote(
+          {xy.data(), z.data(), count + 1}, {0, 0, 0, count, 1 << 28, scale},
+          {d2.data(), near_xy.data(), near_z.data()}, &sums);
       c0 += sums.c0;
       const int32_t parts[5] = {sums.xx, sums.xy, sums.xz, sums.yy, sums.yz};
       for (size_t e = 0; e < 5; ++e) a[e] += parts[e];
