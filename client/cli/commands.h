@@ -75,6 +75,8 @@ struct SampleCommand {
   bool centroids = false;
   int threads = 1;
   std::vector<std::string> column_names;
+  /// Folder of a report on both density rules; empty: none. Of spdf alone.
+  std::string report;
 };
 absl::Status RunSample(const CommonOptions& common,
                        const SampleCommand& command);

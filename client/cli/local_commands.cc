@@ -2,12 +2,14 @@
 #include <cmath>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/commands.h"
 #include "client/cli/output.h"
 #include "client/cli/progress_bar.h"
+#include "client/cli/sample_report.h"
 #include "client/formats/point_file.h"
 #include "core/base/executor.h"
 #include "core/base/status.h"
@@ -43,6 +45,9 @@ struct Sample {
   int64_t after_rounds = 0;
   core::LabelCounts label_counts{};
   core::RefusedCounts refused;
+  /// From points in file order to labelled points, all of it.
+  double filter_s = 0;
+  std::optional<FilterReport> report;
 };
 
 /// Keeps `rows` of `filtered` that the budget chooses, with centroids in place
@@ -76,8 +81,9 @@ absl::StatusOr<core::LatticeCloud> UnderBudget(const core::LatticeCloud& cloud,
 
 absl::StatusOr<Sample> TakeSample(const core::PointCloud& input,
                                   const SampleCommand& command,
-                                  const ExecutionContext& context) {
+                                  Executor& executor) {
   Sample sample;
+  Stopwatch stopwatch;
   const core::Lattice lattice(
       static_cast<int64_t>(std::nearbyint(command.step * 1e9)));
   const core::LatticeCloud cloud =
@@ -89,10 +95,18 @@ absl::StatusOr<Sample> TakeSample(const core::PointCloud& input,
         distinct.positions, command.max_points, command.options.seed));
     sample.after_rounds = static_cast<int64_t>(sample.cloud.size());
     sample.label_counts[0] = sample.after_rounds;
+    sample.filter_s = stopwatch.Lap();
     return sample;
   }
-  MAPSIEVE_ASSIGN_OR_RETURN(const core::FilteredCloud filtered,
-                            core::FilterCloud(cloud, command.options, context));
+  Stopwatch filter_alone;
+  core::FilteredCloud filtered;
+  {
+    ProgressBar bar("sample", "visits");
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        filtered, core::FilterCloud(cloud, command.options,
+                                    {.executor = &executor, .progress = &bar}));
+  }
+  const double filter_alone_s = filter_alone.Lap();
   sample.after_rounds = filtered.summary.survivor_count;
   std::vector<uint32_t> rows;
   core::LabelColumns columns;
@@ -110,6 +124,12 @@ absl::StatusOr<Sample> TakeSample(const core::PointCloud& input,
   const core::Column& labels = *sample.cloud.attributes.Find("label");
   for (size_t i = 0; i < labels.size(); ++i) {
     ++sample.label_counts[labels.Get<uint8_t>(i)];
+  }
+  sample.filter_s = stopwatch.Lap();
+  if (!command.report.empty()) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        sample.report, CompareRules(cloud, std::move(filtered), filter_alone_s,
+                                    command.options, executor));
   }
   return sample;
 }
@@ -145,29 +165,29 @@ absl::Status RunSample(const CommonOptions& common,
                             ReadPointFile(command.input, read_options));
   const double read_s = stopwatch.Lap();
   const std::unique_ptr<Executor> workers = MakeWorkerPool(command.threads);
-  absl::StatusOr<Sample> sample;
-  {
-    ProgressBar bar("sample", "visits");
-    sample = TakeSample(input, command,
-                        {.executor = workers.get(), .progress = &bar});
-  }
-  MAPSIEVE_RETURN_IF_ERROR(sample.status());
-  const double filter_s = stopwatch.Lap();
+  MAPSIEVE_ASSIGN_OR_RETURN(const Sample sample,
+                            TakeSample(input, command, *workers));
+  stopwatch.Lap();
   MAPSIEVE_RETURN_IF_ERROR(WritePointFile(
-      command.output, core::ToPointCloud(sample->cloud),
-      {.coordinate_step = sample->cloud.lattice.step(), .crs_wkt = crs}));
-  PrintResult(common.json,
-              {{"points_in", input.size()},
-               {"refused_non_finite_count", sample->refused.non_finite},
-               {"refused_out_of_lattice_count", sample->refused.out_of_lattice},
-               {"points_after_rounds", sample->after_rounds},
-               {"points_out", sample->cloud.size()},
-               {"label_counts", LabelCountsJson(sample->label_counts)},
-               {"read_s", read_s},
-               {"filter_s", filter_s},
-               {"write_s", stopwatch.Lap()},
-               {"peak_rss_bytes", PeakRssBytes()},
-               {"output", command.output}});
+      command.output, core::ToPointCloud(sample.cloud),
+      {.coordinate_step = sample.cloud.lattice.step(), .crs_wkt = crs}));
+  Json result = {
+      {"points_in", input.size()},
+      {"refused_non_finite_count", sample.refused.non_finite},
+      {"refused_out_of_lattice_count", sample.refused.out_of_lattice},
+      {"points_after_rounds", sample.after_rounds},
+      {"points_out", sample.cloud.size()},
+      {"label_counts", LabelCountsJson(sample.label_counts)},
+      {"read_s", read_s},
+      {"filter_s", sample.filter_s},
+      {"write_s", stopwatch.Lap()},
+      {"peak_rss_bytes", PeakRssBytes()},
+      {"output", command.output}};
+  if (sample.report) {
+    MAPSIEVE_RETURN_IF_ERROR(WriteReport(*sample.report, command.report));
+    result["report"] = command.report;
+  }
+  PrintResult(common.json, result);
   return absl::OkStatus();
 }
 

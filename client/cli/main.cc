@@ -199,6 +199,9 @@ void AddSample(CLI::App& app, const CommonOptions& common, Run& run) {
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   command->add_option("--threads", options->threads, "Default: one a processor")
       ->check(CLI::Range(1, 1024));
+  command->add_option("--report", options->report,
+                      "Folder for a report that compares both density rules: "
+                      "report.json, density and saliencies as .svg and .png");
   AddColumnsOption(*command, options->column_names);
   command->callback([=, &common, &run] {
     if (*rule == "quota") options->options.rule = core::DensityRule::kQuota;
@@ -210,6 +213,9 @@ void AddSample(CLI::App& app, const CommonOptions& common, Run& run) {
     }
     if (options->centroids && options->method != "spatial-spdf") {
       throw CLI::ValidationError("--centroids needs --method spatial-spdf");
+    }
+    if (budget && !options->report.empty()) {
+      throw CLI::ValidationError("--report needs --method spdf");
     }
     run = [=, &common] { return RunSample(common, *options); };
   });
