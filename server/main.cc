@@ -14,6 +14,7 @@
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "core/base/heap.h"
 #include "core/base/status.h"
 #include "grpc/support/log.h"
 #include "server/server.h"
@@ -156,6 +157,7 @@ int Main(int argc, char** argv) {
 }  // namespace mapsieve::rpc
 
 int main(int argc, char** argv) {
+  mapsieve::ReturnFreedBlocks();
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   try {
     return mapsieve::rpc::Main(argc, argv);

@@ -79,7 +79,7 @@ absl::StatusOr<core::LatticeCloud> UnderBudget(const core::LatticeCloud& cloud,
   return kept;
 }
 
-absl::StatusOr<Sample> TakeSample(const core::PointCloud& input,
+absl::StatusOr<Sample> TakeSample(core::PointCloud input,
                                   const SampleCommand& command,
                                   Executor& executor) {
   Sample sample;
@@ -87,7 +87,7 @@ absl::StatusOr<Sample> TakeSample(const core::PointCloud& input,
   const core::Lattice lattice(
       static_cast<int64_t>(std::nearbyint(command.step * 1e9)));
   const core::LatticeCloud cloud =
-      core::Quantize(input, lattice, sample.refused);
+      core::Quantize(std::move(input), lattice, sample.refused, executor);
   if (command.method == "random") {
     const core::LatticeCloud distinct =
         cloud.Select(core::MergeDuplicates(cloud));
@@ -161,18 +161,19 @@ absl::Status RunSample(const CommonOptions& common,
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<PointReader> reader,
                             OpenPointFile(command.input, read_options));
   const std::string crs = reader->info().crs_wkt;
-  MAPSIEVE_ASSIGN_OR_RETURN(const core::PointCloud input,
+  MAPSIEVE_ASSIGN_OR_RETURN(core::PointCloud input,
                             ReadPointFile(command.input, read_options));
+  const size_t points_in = input.size();
   const double read_s = stopwatch.Lap();
   const std::unique_ptr<Executor> workers = MakeWorkerPool(command.threads);
   MAPSIEVE_ASSIGN_OR_RETURN(const Sample sample,
-                            TakeSample(input, command, *workers));
+                            TakeSample(std::move(input), command, *workers));
   stopwatch.Lap();
   MAPSIEVE_RETURN_IF_ERROR(WritePointFile(
       command.output, core::ToPointCloud(sample.cloud),
       {.coordinate_step = sample.cloud.lattice.step(), .crs_wkt = crs}));
   Json result = {
-      {"points_in", input.size()},
+      {"points_in", points_in},
       {"refused_non_finite_count", sample.refused.non_finite},
       {"refused_out_of_lattice_count", sample.refused.out_of_lattice},
       {"points_after_rounds", sample.after_rounds},

@@ -11,6 +11,7 @@
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "client/cli/commands.h"
+#include "core/base/heap.h"
 
 namespace mapsieve::client {
 namespace {
@@ -329,6 +330,7 @@ int Main(int argc, char** argv) {
 }  // namespace mapsieve::client
 
 int main(int argc, char** argv) {
+  mapsieve::ReturnFreedBlocks();
   // gRPC locks Abseil's mutexes in ways that its deadlock detector, which
   // aborts the process, mistakes for cycles.
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);

@@ -2,8 +2,9 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cstring>
-#include <numeric>
+#include <unordered_set>
 #include <utility>
 
 #include "core/geometry/cell_key.h"
@@ -12,26 +13,136 @@
 namespace mapsieve::core {
 namespace {
 
+/// Rows of one parallel task.
+constexpr size_t kTaskRows = 1 << 16;
+
+/// Sort key of a row among those of one cell.
 struct CodedRow {
   uint64_t code;
   uint32_t row;
+
+  friend bool operator<(const CodedRow& a, const CodedRow& b) {
+    return a.code != b.code ? a.code < b.code : a.row < b.row;
+  }
 };
 
-/// Stable sort by code, byte by byte; bytes that all codes share are skipped.
-void RadixSort(std::vector<CodedRow>& rows) {
-  std::vector<CodedRow> other(rows.size());
-  for (int shift = 0; shift < 64; shift += 8) {
-    std::array<size_t, 257> starts{};
-    for (const CodedRow& r : rows) ++starts[(r.code >> shift & 0xff) + 1];
-    if (std::find(starts.begin(), starts.end(), rows.size()) != starts.end()) {
-      continue;
-    }
-    for (size_t b = 1; b < starts.size(); ++b) starts[b] += starts[b - 1];
-    for (const CodedRow& r : rows) {
-      other[starts[r.code >> shift & 0xff]++] = r;
-    }
-    rows.swap(other);
+/// A digit of codes: `bits` bits from `shift` on.
+struct Digit {
+  int shift = 0;
+  int bits = 0;
+  size_t Of(uint64_t code) const {
+    return static_cast<size_t>(code >> shift & ((uint64_t{1} << bits) - 1));
   }
+};
+
+/// The `width` uppermost bits in which codes differ, given the bits in which
+/// any two do.
+Digit UpperDigit(uint64_t differing, int width) {
+  const int top = 64 - std::countl_zero(differing);
+  const int bits = std::min(width, top);
+  return {top - bits, bits};
+}
+
+/// Sorts `rows` by digits from above; `room` is as large.
+void SortRows(std::span<CodedRow> rows, std::span<CodedRow> room) {
+  if (rows.size() <= 128) {
+    std::sort(rows.begin(), rows.end());
+    return;
+  }
+  uint64_t differing = 0;
+  for (const CodedRow& r : rows) differing |= r.code ^ rows[0].code;
+  if (differing == 0) return;  // rows ascend already
+  constexpr int kBits = 8;
+  const Digit digit = UpperDigit(differing, kBits);
+  std::array<size_t, (1 << kBits) + 1> starts{};
+  for (const CodedRow& r : rows) ++starts[digit.Of(r.code) + 1];
+  for (size_t d = 1; d < starts.size(); ++d) starts[d] += starts[d - 1];
+  std::array<size_t, (1 << kBits) + 1> next = starts;
+  for (const CodedRow& r : rows) room[next[digit.Of(r.code)]++] = r;
+  std::copy(room.begin(), room.end(), rows.begin());
+  for (size_t d = 0; d + 1 < starts.size(); ++d) {
+    const size_t count = starts[d + 1] - starts[d];
+    if (count > 1) {
+      SortRows(rows.subspan(starts[d], count), room.subspan(starts[d], count));
+    }
+  }
+}
+
+/// Calls task(part, begin, end) for parts of [0, size).
+template <typename Task>
+void ForEachPart(Executor& executor, size_t size, const Task& task) {
+  const size_t parts = (size + kTaskRows - 1) / kTaskRows;
+  executor.ParallelFor(static_cast<int64_t>(parts), [&](int64_t p) {
+    const auto part = static_cast<size_t>(p);
+    task(part, part * kTaskRows, std::min(size, (part + 1) * kTaskRows));
+  });
+}
+
+/// Moves `rows` to `sorted`, ordered by bucket_of, stable. Returns where each
+/// bucket starts, and at the end where the last one ends.
+template <typename BucketOf>
+std::vector<size_t> Partition(Executor& executor,
+                              std::span<const CodedRow> rows,
+                              size_t bucket_count, const BucketOf& bucket_of,
+                              std::span<CodedRow> sorted) {
+  const size_t parts = (rows.size() + kTaskRows - 1) / kTaskRows;
+  std::vector<std::vector<size_t>> next(parts);
+  ForEachPart(executor, rows.size(),
+              [&](size_t part, size_t begin, size_t end) {
+                next[part].resize(bucket_count);
+                for (size_t i = begin; i < end; ++i)
+                  ++next[part][bucket_of(rows[i])];
+              });
+  std::vector<size_t> starts;
+  starts.reserve(bucket_count + 1);
+  size_t start = 0;
+  for (size_t b = 0; b < bucket_count; ++b) {
+    starts.push_back(start);
+    for (std::vector<size_t>& counts : next) {
+      const size_t count = counts[b];
+      counts[b] = start;
+      start += count;
+    }
+  }
+  starts.push_back(start);
+  ForEachPart(executor, rows.size(),
+              [&](size_t part, size_t begin, size_t end) {
+                for (size_t i = begin; i < end; ++i) {
+                  sorted[next[part][bucket_of(rows[i])]++] = rows[i];
+                }
+              });
+  return starts;
+}
+
+/// The cells of the level whose points' codes fit 64 bits that hold any of
+/// `positions`, in Morton order.
+std::vector<CellKey> FindCells(Executor& executor,
+                               std::span<const LatticePoint> positions) {
+  const size_t parts = (positions.size() + kTaskRows - 1) / kTaskRows;
+  std::vector<std::unordered_set<CellKey, CellKeyHash>> found(parts);
+  ForEachPart(executor, positions.size(),
+              [&](size_t part, size_t begin, size_t end) {
+                CellKey last = {.level = -1};
+                for (size_t i = begin; i < end; ++i) {
+                  const CellKey cell = CellKey::Of(positions[i], kMaxTileLevel);
+                  if (!(cell == last)) found[part].insert(cell);
+                  last = cell;
+                }
+              });
+  std::vector<CellKey> cells;
+  for (const auto& part : found) {
+    cells.insert(cells.end(), part.begin(), part.end());
+  }
+  std::sort(cells.begin(), cells.end(), CellKeyLess());
+  cells.erase(std::unique(cells.begin(), cells.end()), cells.end());
+  return cells;
+}
+
+uint64_t CodeInCell(const LatticePoint& q) {
+  constexpr int64_t kMask = (int64_t{1} << kMaxTileLevel) - 1;
+  return MortonCode(static_cast<uint64_t>(q.x & kMask),
+                    static_cast<uint64_t>(q.y & kMask),
+                    static_cast<uint64_t>(q.z & kMask));
 }
 
 /// Negative, zero or positive as row `a` orders before, equal to or after `b`.
@@ -51,48 +162,57 @@ int CompareAttributes(std::span<const Column* const> columns, uint32_t a,
 
 }  // namespace
 
-std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions) {
-  if (positions.empty()) return {};
-  // Codes of whole coordinates do not fit 64 bits: cells of the level whose
-  // points' codes do come first, then the codes within each cell.
-  const auto cell_of = [&](size_t i) {
-    return CellKey::Of(positions[i], kMaxTileLevel);
-  };
-  std::vector<CellKey> cells;
-  for (size_t i = 0; i < positions.size(); ++i) {
-    const CellKey cell = cell_of(i);
-    if (cells.empty() || !(cell == cells.back())) cells.push_back(cell);
-  }
-  std::sort(cells.begin(), cells.end(), CellKeyLess());
-  cells.erase(std::unique(cells.begin(), cells.end()), cells.end());
-  std::vector<std::vector<CodedRow>> by_cell(cells.size());
-  if (cells.size() == 1) by_cell[0].reserve(positions.size());
-  size_t last = 0;
-  for (size_t i = 0; i < positions.size(); ++i) {
-    const CellKey cell = cell_of(i);
-    if (!(cells[last] == cell)) {
-      last = static_cast<size_t>(
+std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
+                                  Executor& executor) {
+  // Codes of whole coordinates do not fit 64 bits: cells come first, then the
+  // codes within each.
+  const std::vector<CellKey> cells = FindCells(executor, positions);
+  std::vector<CodedRow> rows(positions.size());
+  std::vector<CodedRow> sorted(positions.size());
+  const size_t parts = (positions.size() + kTaskRows - 1) / kTaskRows;
+  std::vector<uint64_t> differing_of(parts);
+  ForEachPart(
+      executor, positions.size(), [&](size_t part, size_t begin, size_t end) {
+        const uint64_t first = CodeInCell(positions[0]);
+        for (size_t i = begin; i < end; ++i) {
+          rows[i] = {CodeInCell(positions[i]), static_cast<uint32_t>(i)};
+          differing_of[part] |= rows[i].code ^ first;
+        }
+      });
+  std::vector<size_t> starts;
+  if (cells.size() > 1) {
+    const auto cell_of = [&](const CodedRow& r) {
+      const CellKey cell = CellKey::Of(positions[r.row], kMaxTileLevel);
+      return static_cast<size_t>(
           std::lower_bound(cells.begin(), cells.end(), cell, CellKeyLess()) -
           cells.begin());
-    }
-    constexpr int64_t kMask = (int64_t{1} << kMaxTileLevel) - 1;
-    const LatticePoint& q = positions[i];
-    by_cell[last].push_back({MortonCode(static_cast<uint64_t>(q.x & kMask),
-                                        static_cast<uint64_t>(q.y & kMask),
-                                        static_cast<uint64_t>(q.z & kMask)),
-                             static_cast<uint32_t>(i)});
+    };
+    starts = Partition(executor, rows, cells.size(), cell_of, sorted);
+  } else {
+    uint64_t differing = 0;
+    for (const uint64_t d : differing_of) differing |= d;
+    const Digit digit = UpperDigit(differing, 11);
+    starts = Partition(
+        executor, rows, size_t{1} << digit.bits,
+        [&](const CodedRow& r) { return digit.Of(r.code); }, sorted);
   }
-  std::vector<uint32_t> order;
-  order.reserve(positions.size());
-  for (std::vector<CodedRow>& rows : by_cell) {
-    RadixSort(rows);
-    for (const CodedRow& r : rows) order.push_back(r.row);
-    rows = {};
-  }
+  executor.ParallelFor(static_cast<int64_t>(starts.size()) - 1, [&](int64_t b) {
+    const auto bucket = static_cast<size_t>(b);
+    const size_t count = starts[bucket + 1] - starts[bucket];
+    SortRows(std::span(sorted).subspan(starts[bucket], count),
+             std::span(rows).subspan(starts[bucket], count));
+  });
+  rows = std::vector<CodedRow>();
+  std::vector<uint32_t> order(positions.size());
+  ForEachPart(executor, positions.size(),
+              [&](size_t, size_t begin, size_t end) {
+                for (size_t i = begin; i < end; ++i) order[i] = sorted[i].row;
+              });
   return order;
 }
 
-std::vector<uint32_t> MergeDuplicates(const LatticeCloud& cloud) {
+std::vector<uint32_t> MergeDuplicates(const LatticeCloud& cloud,
+                                      Executor& executor) {
   std::vector<const Column*> columns;
   for (const Column& column : cloud.attributes.columns()) {
     columns.push_back(&column);
@@ -100,7 +220,7 @@ std::vector<uint32_t> MergeDuplicates(const LatticeCloud& cloud) {
   std::sort(
       columns.begin(), columns.end(),
       [](const Column* a, const Column* b) { return a->name() < b->name(); });
-  std::vector<uint32_t> rows = MortonOrder(cloud.positions);
+  std::vector<uint32_t> rows = MortonOrder(cloud.positions, executor);
   size_t kept = 0;
   for (size_t i = 0; i < rows.size(); ++i) {
     if (kept > 0 &&

@@ -5,19 +5,22 @@
 #include <span>
 #include <vector>
 
+#include "core/base/executor.h"
 #include "core/cloud/point_cloud.h"
 
 namespace mapsieve::core {
 
 /// The rows of `positions` in Morton order; rows of one lattice point keep
 /// their order. At most 2^32 - 1 rows.
-std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions);
+std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
+                                  Executor& executor = InlineExecutor());
 
 /// One row for every distinct lattice point of `cloud`, in Morton order: of
 /// several points in one place, the one with the smallest attributes
 /// (attributes by name, missing before present, then by little-endian bytes).
 /// So the choice depends on the set of points alone.
-std::vector<uint32_t> MergeDuplicates(const LatticeCloud& cloud);
+std::vector<uint32_t> MergeDuplicates(const LatticeCloud& cloud,
+                                      Executor& executor = InlineExecutor());
 
 /// MergeDuplicates for points without attributes.
 std::vector<LatticePoint> DistinctPoints(

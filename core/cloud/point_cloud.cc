@@ -1,7 +1,7 @@
 #include "core/cloud/point_cloud.h"
 
+#include <algorithm>
 #include <cmath>
-#include <optional>
 #include <utility>
 
 namespace mapsieve::core {
@@ -14,28 +14,45 @@ LatticeCloud LatticeCloud::Select(std::span<const uint32_t> rows) const {
   return result;
 }
 
-LatticeCloud Quantize(const PointCloud& cloud, const Lattice& lattice,
-                      RefusedCounts& refused) {
+LatticeCloud Quantize(PointCloud cloud, const Lattice& lattice,
+                      RefusedCounts& refused, Executor& executor) {
+  constexpr size_t kTaskRows = 1 << 16;
+  const size_t size = cloud.size();
+  const size_t parts = (size + kTaskRows - 1) / kTaskRows;
   LatticeCloud result{.lattice = lattice};
-  std::vector<uint32_t> rows;
-  rows.reserve(cloud.size());
-  result.positions.reserve(cloud.size());
-  for (size_t i = 0; i < cloud.size(); ++i) {
-    const Point3& p = cloud.positions[i];
-    const std::optional<LatticePoint> q = lattice.Quantize(p);
-    if (q.has_value()) {
-      result.positions.push_back(*q);
-      rows.push_back(static_cast<uint32_t>(i));
-    } else if (std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z)) {
-      ++refused.out_of_lattice;
-    } else {
-      ++refused.non_finite;
+  result.positions.resize(size);
+  // Rows that were refused, of each part.
+  std::vector<std::vector<uint32_t>> refused_rows(parts);
+  executor.ParallelFor(static_cast<int64_t>(parts), [&](int64_t p) {
+    const auto part = static_cast<size_t>(p);
+    const size_t end = std::min(size, (part + 1) * kTaskRows);
+    for (size_t i = part * kTaskRows; i < end; ++i) {
+      const auto q = lattice.Quantize(cloud.positions[i]);
+      if (q.has_value()) {
+        result.positions[i] = *q;
+      } else {
+        refused_rows[part].push_back(static_cast<uint32_t>(i));
+      }
+    }
+  });
+  std::vector<uint32_t> kept;
+  uint32_t next = 0;
+  for (const std::vector<uint32_t>& rows : refused_rows) {
+    for (const uint32_t row : rows) {
+      for (; next < row; ++next) kept.push_back(next);
+      ++next;
+      const Point3& p = cloud.positions[row];
+      if (std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z)) {
+        ++refused.out_of_lattice;
+      } else {
+        ++refused.non_finite;
+      }
     }
   }
-  result.attributes = rows.size() == cloud.size()
-                          ? cloud.attributes
-                          : cloud.attributes.Select(rows);
-  return result;
+  result.attributes = std::move(cloud.attributes);
+  if (next == 0) return result;
+  for (; next < size; ++next) kept.push_back(next);
+  return result.Select(kept);
 }
 
 PointCloud ToPointCloud(const LatticeCloud& cloud) {

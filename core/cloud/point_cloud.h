@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "core/base/executor.h"
 #include "core/cloud/column.h"
 #include "core/geometry/lattice.h"
 
@@ -43,8 +44,9 @@ struct RefusedCounts {
 
 /// Puts `cloud` on `lattice`, in its order, without the refused points, which
 /// are added to `refused`.
-LatticeCloud Quantize(const PointCloud& cloud, const Lattice& lattice,
-                      RefusedCounts& refused);
+LatticeCloud Quantize(PointCloud cloud, const Lattice& lattice,
+                      RefusedCounts& refused,
+                      Executor& executor = InlineExecutor());
 
 /// Positions back in map units.
 PointCloud ToPointCloud(const LatticeCloud& cloud);

@@ -1,6 +1,8 @@
 #include "core/spdf/cloud_filter.h"
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <map>
 #include <string>
 #include <string_view>
@@ -12,19 +14,51 @@
 namespace mapsieve::core {
 namespace {
 
+/// A cloud is cut into at most so many tiles: what is copied tile by tile is
+/// then small beside the cloud.
+constexpr int64_t kMaxMemoryTiles = 1024;
 /// Eight such tiles around the origin, or along a border, are still one unit.
-constexpr int kMemoryTileLevel = 29;
+constexpr int kMaxMemoryTileLevel = 29;
 
-/// Distinct points of a cloud as tiles so large that there is mostly one.
+/// The finest level, at most kMaxMemoryTileLevel, at which the points, in
+/// Morton order, lie in at most kMaxMemoryTiles cells.
+int ChooseTileLevel(std::span<const LatticePoint> positions,
+                    std::span<const uint32_t> rows) {
+  // How many neighbours in the order part at each level.
+  std::array<int64_t, kMaxCellLevel + 2> parting{};
+  for (size_t i = 1; i < rows.size(); ++i) {
+    const LatticePoint& a = positions[rows[i - 1]];
+    const LatticePoint& b = positions[rows[i]];
+    const auto differing =
+        static_cast<uint64_t>((a.x ^ b.x) | (a.y ^ b.y) | (a.z ^ b.z));
+    const int level = 64 - std::countl_zero(differing);
+    ++parting[static_cast<size_t>(std::min(level, kMaxCellLevel + 1))];
+  }
+  int64_t cells = 1;
+  int level = kMaxCellLevel;
+  for (; level > kMaxMemoryTileLevel; --level) {
+    cells += parting[static_cast<size_t>(level)];
+  }
+  while (level > 0 &&
+         cells + parting[static_cast<size_t>(level)] <= kMaxMemoryTiles) {
+    cells += parting[static_cast<size_t>(level)];
+    --level;
+  }
+  return level;
+}
+
+/// Distinct points of a cloud as tiles that are one unit.
 class MemoryTileStore final : public TileStore {
  public:
   MemoryTileStore(const LatticeCloud& cloud, std::vector<uint32_t> rows,
                   FilteredCloud& result)
-      : rows_(std::move(rows)), result_(result) {
-    points_.reserve(rows_.size());
-    for (const uint32_t row : rows_) points_.push_back(cloud.positions[row]);
-    for (size_t i = 0; i < points_.size(); ++i) {
-      const CellKey key = CellKey::Of(points_[i], kMemoryTileLevel);
+      : cloud_(cloud), rows_(std::move(rows)), result_(result) {
+    // Untouched room costs nothing, growing would copy.
+    result_.rows.reserve(rows_.size());
+    result_.columns.Reserve(rows_.size());
+    const int level = ChooseTileLevel(cloud.positions, rows_);
+    for (size_t i = 0; i < rows_.size(); ++i) {
+      const CellKey key = CellKey::Of(cloud.positions[rows_[i]], level);
       if (tiles_.empty() || !(tiles_.back().key == key)) {
         tiles_.push_back({.key = key});
         begins_[key] = i;
@@ -37,13 +71,14 @@ class MemoryTileStore final : public TileStore {
 
   absl::StatusOr<std::vector<LatticePoint>> LoadPoints(
       const CellKey& key) override {
-    const auto begin =
-        points_.begin() + static_cast<ptrdiff_t>(begins_.at(key));
-    auto end = begin;
-    while (end != points_.end() && CellKey::Of(*end, kMemoryTileLevel) == key) {
-      ++end;
+    std::vector<LatticePoint> points;
+    points.reserve(rows_.size() / tiles_.size());
+    for (size_t i = begins_.at(key); i < rows_.size(); ++i) {
+      const LatticePoint& q = cloud_.positions[rows_[i]];
+      if (!(CellKey::Of(q, key.level) == key)) break;
+      points.push_back(q);
     }
-    return std::vector<LatticePoint>(begin, end);
+    return points;
   }
 
   absl::Status StoreState(const CellKey& key, TileStateKind kind,
@@ -62,19 +97,13 @@ class MemoryTileStore final : public TileStore {
     for (const uint32_t row : result.rows) {
       result_.rows.push_back(rows_[begin + row]);
     }
-    if (result_.columns.size() == 0) {
-      result_.columns = std::move(result.columns);
-      return absl::OkStatus();
-    }
-    for (size_t i = 0; i < result.columns.size(); ++i) {
-      result_.columns.Append(result.columns, i);
-    }
+    result_.columns.AppendRange(result.columns, 0, result.columns.size());
     return absl::OkStatus();
   }
 
  private:
+  const LatticeCloud& cloud_;
   std::vector<uint32_t> rows_;
-  std::vector<LatticePoint> points_;
   std::vector<TileInfo> tiles_;
   std::map<CellKey, size_t, CellKeyLess> begins_;
   std::map<TileStateKind,
@@ -101,7 +130,8 @@ absl::StatusOr<FilteredCloud> FilterCloud(const LatticeCloud& cloud,
                                           const ExecutionContext& context) {
   MAPSIEVE_RETURN_IF_ERROR(options.Validate(cloud.lattice));
   FilteredCloud result;
-  MemoryTileStore store(cloud, MergeDuplicates(cloud), result);
+  MemoryTileStore store(cloud, MergeDuplicates(cloud, *context.executor),
+                        result);
   const TilingOptions tiling = {.max_unit_points =
                                     static_cast<int64_t>(cloud.size())};
   MAPSIEVE_ASSIGN_OR_RETURN(

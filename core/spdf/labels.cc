@@ -21,12 +21,17 @@ void LabelColumns::Resize(size_t size) {
   tangent.resize(size);
 }
 
-void LabelColumns::Append(const LabelColumns& other, size_t i) {
-  label.push_back(other.label[i]);
-  confidence.push_back(other.confidence[i]);
-  lambda.push_back(other.lambda[i]);
-  normal.push_back(other.normal[i]);
-  tangent.push_back(other.tangent[i]);
+void LabelColumns::AppendRange(const LabelColumns& other, size_t begin,
+                               size_t end) {
+  const auto append = [begin, end](auto& column, const auto& from) {
+    column.insert(column.end(), from.begin() + static_cast<ptrdiff_t>(begin),
+                  from.begin() + static_cast<ptrdiff_t>(end));
+  };
+  append(label, other.label);
+  append(confidence, other.confidence);
+  append(lambda, other.lambda);
+  append(normal, other.normal);
+  append(tangent, other.tangent);
 }
 
 OutlierTest::OutlierTest(const MaxConfidence& max_confidence,

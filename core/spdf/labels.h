@@ -30,7 +30,10 @@ struct LabelColumns {
   size_t size() const { return label.size(); }
   void Reserve(size_t size);
   void Resize(size_t size);
-  void Append(const LabelColumns& other, size_t i);
+  void Append(const LabelColumns& other, size_t i) {
+    AppendRange(other, i, i + 1);
+  }
+  void AppendRange(const LabelColumns& other, size_t begin, size_t end);
 
   friend bool operator==(const LabelColumns&, const LabelColumns&) = default;
 };

@@ -11,7 +11,7 @@ int64_t IndexBox::SquaredDistance(const IndexBox& other) const {
   for (size_t a = 0; a < 3; ++a) {
     const int64_t below = int64_t{min[a]} - other.max[a];
     const int64_t above = int64_t{other.min[a]} - max[a];
-    const int64_t gap = std::max({below, above, int64_t{0}});
+    const int64_t gap = std::max(std::max(below, above), int64_t{0});
     sum += gap * gap;
   }
   return sum;
@@ -46,6 +46,18 @@ void PointIndex::Reserve(size_t size) {
   numbers_.reserve(size);
 }
 
+void PointIndex::Append(std::span<const LatticePoint> points,
+                        uint32_t first_number) {
+  size_t i = numbers_.size();
+  Resize(i + points.size());
+  for (const LatticePoint& point : points) {
+    x_[i] = static_cast<int32_t>(point.x - origin_.x);
+    y_[i] = static_cast<int32_t>(point.y - origin_.y);
+    z_[i] = static_cast<int32_t>(point.z - origin_.z);
+    numbers_[i++] = first_number++;
+  }
+}
+
 void PointIndex::Append(int32_t x, int32_t y, int32_t z, uint32_t number) {
   const size_t i = numbers_.size();
   Resize(i + 1);
@@ -60,13 +72,9 @@ uint32_t PointIndex::Split(uint32_t begin, uint32_t end) const {
 }
 
 IndexBox PointIndex::BoxOf(uint32_t begin, uint32_t end) const {
-  const auto [min_x, max_x] =
-      std::minmax_element(x_.begin() + begin, x_.begin() + end);
-  const auto [min_y, max_y] =
-      std::minmax_element(y_.begin() + begin, y_.begin() + end);
-  const auto [min_z, max_z] =
-      std::minmax_element(z_.begin() + begin, z_.begin() + end);
-  return {{*min_x, *min_y, *min_z}, {*max_x, *max_y, *max_z}};
+  IndexBox box = PointBox(begin);
+  for (uint32_t i = begin + 1; i < end; ++i) box.Extend(PointBox(i));
+  return box;
 }
 
 void PointIndex::AppendTree(uint32_t begin, uint32_t end,
@@ -125,7 +133,7 @@ void PointIndex::Build(Executor& executor) {
         if (node.right != 0) node.right += n;
         nodes_.push_back(node);
       }
-      parts[next_part++].nodes = {};
+      parts[next_part++].nodes = std::vector<Node>();
       return;
     }
     nodes_.push_back({.begin = begin, .end = end});

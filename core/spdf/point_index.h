@@ -47,20 +47,17 @@ class PointIndex {
   explicit PointIndex(const LatticePoint& origin) : origin_(origin) {}
 
   void Reserve(size_t size);
-  /// Adds a point, distinct from the others and after them in Morton order;
-  /// coordinates within 2^30 steps of the origin. To be followed by Build.
-  void Append(const LatticePoint& point, uint32_t number) {
-    Append(static_cast<int32_t>(point.x - origin_.x),
-           static_cast<int32_t>(point.y - origin_.y),
-           static_cast<int32_t>(point.z - origin_.z), number);
-  }
+  /// Adds points, distinct from the others and after them in Morton order;
+  /// coordinates within 2^30 steps of the origin. They are numbered from
+  /// `first_number` on. To be followed by Build.
+  void Append(std::span<const LatticePoint> points, uint32_t first_number);
+  void Append(int32_t x, int32_t y, int32_t z, uint32_t number);
 
   /// Keeps the points with keep(number); the others go to removed(x, y, z,
   /// number), coordinates relative to the origin. To be followed by Build if
   /// it returns true: points were removed.
   template <typename Keep, typename Removed>
   bool Filter(const Keep& keep, const Removed& removed);
-  void Append(int32_t x, int32_t y, int32_t z, uint32_t number);
 
   /// Builds the tree; the same for any executor.
   void Build(Executor& executor);

@@ -113,6 +113,7 @@ class LockStepFilter {
   std::unordered_map<size_t, std::vector<size_t>> HaloTiles(
       const Unit& unit, int64_t margin) const {
     std::unordered_map<size_t, std::vector<size_t>> halo;
+    if (IsResident()) return halo;
     const int level = tiles_[0].key.level;
     const int64_t reach = ((margin - 1) >> level) + 1;
     const auto is_core = [&](size_t t) {
@@ -168,18 +169,20 @@ class LockStepFilter {
                       .is_core = t >= unit.first && t < unit.second,
                       .begin = work.size()};
       if (tile.is_core) {
-        for (const LatticePoint& q : tile_points) work.Append(q, true);
+        work.Append(tile_points, true);
       } else {
+        std::vector<LatticePoint> near;
         for (uint32_t row = 0; row < tile_points.size(); ++row) {
           for (const size_t core : halo[t]) {
             if (tiles_[core].key.box().Grown(margin).Contains(
                     tile_points[row])) {
-              work.Append(tile_points[row], false);
+              near.push_back(tile_points[row]);
               tile.rows.push_back(row);
               break;
             }
           }
         }
+        work.Append(near, false);
       }
       tile.end = work.size();
       loaded.tiles.push_back(std::move(tile));
@@ -373,15 +376,16 @@ class LockStepFilter {
              labeled.points[next] < tile.begin) {
         ++next;
       }
+      const size_t first = next;
       for (; next < labeled.points.size() && labeled.points[next] < tile.end;
            ++next) {
-        const uint32_t point = labeled.points[next];
-        result.rows.push_back(point - static_cast<uint32_t>(tile.begin));
+        result.rows.push_back(labeled.points[next] -
+                              static_cast<uint32_t>(tile.begin));
         result.positions.push_back(loaded.unit->SurvivorPosition(next));
-        result.columns.Append(labeled.columns, next);
         ++summary_
               .label_counts[static_cast<size_t>(labeled.columns.label[next])];
       }
+      result.columns.AppendRange(labeled.columns, first, next);
       summary_.point_count += result.point_count;
       summary_.survivor_count += static_cast<int64_t>(result.rows.size());
       summary_.max_confidence =

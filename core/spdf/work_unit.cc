@@ -92,10 +92,10 @@ void WorkUnit::Reserve(size_t size) {
   deaths_.reserve(size);
 }
 
-void WorkUnit::Append(const LatticePoint& point, bool is_core) {
-  index_.Append(point, static_cast<uint32_t>(deaths_.size()));
-  is_core_.push_back(is_core ? 1 : 0);
-  deaths_.push_back(kAlive);
+void WorkUnit::Append(std::span<const LatticePoint> points, bool is_core) {
+  index_.Append(points, static_cast<uint32_t>(deaths_.size()));
+  is_core_.resize(is_core_.size() + points.size(), is_core ? 1 : 0);
+  deaths_.resize(deaths_.size() + points.size(), kAlive);
 }
 
 void WorkUnit::IndexSurvivors(int round, const ExecutionContext& context) {
@@ -506,7 +506,7 @@ class WorkUnit::VoterVisitor {
 };
 
 absl::Status WorkUnit::ComputeVoters(const ExecutionContext& context) {
-  round_states_ = {};
+  round_states_ = std::vector<RoundState>();
   IndexSurvivors(kAlive - 1, context);
   voters_.resize(size());
   return ForEachGroup(
@@ -638,7 +638,7 @@ absl::StatusOr<WorkUnit::Labeled> WorkUnit::CastAwareVotes(
   MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
       context, [](uint32_t) { return true; },
       [&] { return LabelVisitor(*this, result.columns); }));
-  voters_ = {};
+  voters_ = std::vector<VoterState>();
   return result;
 }
 

@@ -50,8 +50,8 @@ class WorkUnit {
            const SpdfConstants& constants);
 
   void Reserve(size_t size);
-  /// Adds a point, distinct from the others and after them in Morton order.
-  void Append(const LatticePoint& point, bool is_core);
+  /// Adds points, distinct from the others and after them in Morton order.
+  void Append(std::span<const LatticePoint> points, bool is_core);
 
   size_t size() const { return deaths_.size(); }
 

@@ -19,7 +19,9 @@ LIBRARIES = {
     "cli11": (("CLI/",), ("CLI11::",)),
     "eigen": (("Eigen/", "unsupported/Eigen/"), ("Eigen3::",)),
     "freetype": (("ft2build.h", "freetype/"), ("Freetype::",)),
+    "glibc": (("malloc.h",), ()),
     "grpc": (("grpc/", "grpcpp/", "grpc++/"), ("gRPC::",)),
+    "intrinsics": (("immintrin.h",), ()),
     "json": (("nlohmann/",), ("nlohmann_json::",)),
     "lz4": (("lz4",), ("PkgConfig::LZ4",)),
     "lzf": (("lzf.h",), ("PkgConfig::LZF",)),
@@ -85,10 +87,10 @@ RULES = {
         ("core", "abseil", "eigen"), in_cc=("nanoflann", "octomap"),
         never=FILES + CLOCKS + LOGGING + THREADS + ("core/codec",)),
     "core/base": Rule(
-        ("core/base", "abseil", "threads"), in_cc=("xxhash",),
+        ("core/base", "abseil", "threads", "glibc"), in_cc=("xxhash",),
         never=FILES + CLOCKS + LOGGING),
     "core/spdf": Rule(
-        ("core", "abseil"),
+        ("core", "abseil", "intrinsics"),
         never=FILES + CLOCKS + LOGGING + THREADS + ("core/codec",)),
     "core/codec": Rule(
         CORE_TYPES + ("core/codec", "abseil"),
@@ -128,6 +130,8 @@ ONE_FILE = {
     "storage/posix_file_system.cc": ("posix",),
     "core/base/executor.cc": THREADS,
     "core/base/mutex.h": ("mutex",),
+    "core/base/heap.h": ("glibc",),
+    "core/spdf/kernel_vectors.h": ("intrinsics",),
     # Not installed: what the client shows has no generated type.
     "client/api/convert.h": ("proto", "grpc"),
 }
