@@ -7,6 +7,7 @@
 #include <unordered_set>
 #include <utility>
 
+#include "core/base/bulk_vector.h"
 #include "core/geometry/cell_key.h"
 #include "core/geometry/morton.h"
 
@@ -167,8 +168,8 @@ std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
   // Codes of whole coordinates do not fit 64 bits: cells come first, then the
   // codes within each.
   const std::vector<CellKey> cells = FindCells(executor, positions);
-  std::vector<CodedRow> rows(positions.size());
-  std::vector<CodedRow> sorted(positions.size());
+  BulkVector<CodedRow> rows(positions.size());
+  BulkVector<CodedRow> sorted(positions.size());
   const size_t parts = (positions.size() + kTaskRows - 1) / kTaskRows;
   std::vector<uint64_t> differing_of(parts);
   ForEachPart(
@@ -202,7 +203,7 @@ std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
     SortRows(std::span(sorted).subspan(starts[bucket], count),
              std::span(rows).subspan(starts[bucket], count));
   });
-  rows = std::vector<CodedRow>();
+  rows = BulkVector<CodedRow>();
   std::vector<uint32_t> order(positions.size());
   ForEachPart(executor, positions.size(),
               [&](size_t, size_t begin, size_t end) {

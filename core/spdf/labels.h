@@ -3,8 +3,8 @@
 
 #include <array>
 #include <cstdint>
-#include <vector>
 
+#include "core/base/bulk_vector.h"
 #include "core/cloud/label.h"
 #include "core/geometry/octahedral.h"
 
@@ -15,20 +15,21 @@ using MaxConfidence = std::array<uint16_t, kLabelCount>;
 
 /// What the filter says of points, one entry a point in every column.
 struct LabelColumns {
-  std::vector<Label> label;
+  BulkVector<Label> label;
   /// Saliency of the point's own label, [0, 1] as 0 to 65535.
-  std::vector<uint16_t> confidence;
+  BulkVector<uint16_t> confidence;
   /// Eigenvalues of the aware vote, descending: saliency of a surface is
   /// lambda[0] - lambda[1], of a curve lambda[1] - lambda[2], of a junction
   /// lambda[2].
-  std::vector<std::array<float, 3>> lambda;
+  BulkVector<std::array<float, 3>> lambda;
   /// Axis of the largest eigenvalue.
-  std::vector<OctahedralVector> normal;
+  BulkVector<OctahedralVector> normal;
   /// Axis of the smallest eigenvalue.
-  std::vector<OctahedralVector> tangent;
+  BulkVector<OctahedralVector> tangent;
 
   size_t size() const { return label.size(); }
   void Reserve(size_t size);
+  /// New entries have no value yet.
   void Resize(size_t size);
   void Append(const LabelColumns& other, size_t i) {
     AppendRange(other, i, i + 1);

@@ -133,7 +133,7 @@ void PointIndex::Build(Executor& executor) {
         if (node.right != 0) node.right += n;
         nodes_.push_back(node);
       }
-      parts[next_part++].nodes = std::vector<Node>();
+      ++next_part;
       return;
     }
     nodes_.push_back({.begin = begin, .end = end});

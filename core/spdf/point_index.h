@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/bulk_vector.h"
 #include "core/base/executor.h"
 #include "core/geometry/lattice.h"
 #include "core/spdf/kernels.h"
@@ -98,10 +99,10 @@ class PointIndex {
 
   LatticePoint origin_;
   // Coordinates hold kKernelPadding values more than there are points.
-  std::vector<int32_t> x_;
-  std::vector<int32_t> y_;
-  std::vector<int32_t> z_;
-  std::vector<uint32_t> numbers_;
+  BulkVector<int32_t> x_;
+  BulkVector<int32_t> y_;
+  BulkVector<int32_t> z_;
+  BulkVector<uint32_t> numbers_;
   std::vector<Node> nodes_;
 };
 

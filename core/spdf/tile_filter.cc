@@ -200,7 +200,7 @@ class LockStepFilter {
 
   template <typename T>
   absl::Status LoadStates(const LoadedUnit& loaded, TileStateKind kind,
-                          bool with_halo, std::vector<T>& states) {
+                          bool with_halo, BulkVector<T>& states) {
     if (IsResident()) return absl::OkStatus();
     states.resize(loaded.unit->size());
     for (const LoadedTile& tile : loaded.tiles) {
@@ -230,7 +230,7 @@ class LockStepFilter {
 
   template <typename T>
   absl::Status StoreStates(const LoadedUnit& loaded, TileStateKind kind,
-                           const std::vector<T>& states) {
+                           const BulkVector<T>& states) {
     if (IsResident()) return absl::OkStatus();
     for (const LoadedTile& tile : loaded.tiles) {
       if (!tile.is_core) continue;

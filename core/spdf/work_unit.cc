@@ -506,7 +506,7 @@ class WorkUnit::VoterVisitor {
 };
 
 absl::Status WorkUnit::ComputeVoters(const ExecutionContext& context) {
-  round_states_ = std::vector<RoundState>();
+  round_states_ = BulkVector<RoundState>();
   IndexSurvivors(kAlive - 1, context);
   voters_.resize(size());
   return ForEachGroup(
@@ -564,6 +564,10 @@ class WorkUnit::LabelVisitor {
                          tensors, scratch, &sums);
       if (sums.member_count == 0) {
         columns_.label[i] = Label::kNone;
+        columns_.confidence[i] = 0;
+        columns_.lambda[i] = {};
+        columns_.normal[i] = {};
+        columns_.tangent[i] = {};
         continue;
       }
       const int32_t entries[6] = {sums.xx, sums.xy, sums.xz,
@@ -638,7 +642,7 @@ absl::StatusOr<WorkUnit::Labeled> WorkUnit::CastAwareVotes(
   MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
       context, [](uint32_t) { return true; },
       [&] { return LabelVisitor(*this, result.columns); }));
-  voters_ = std::vector<VoterState>();
+  voters_ = BulkVector<VoterState>();
   return result;
 }
 

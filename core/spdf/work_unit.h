@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/base/bulk_vector.h"
 #include "core/base/executor.h"
 #include "core/geometry/lattice.h"
 #include "core/spdf/gathered_block.h"
@@ -57,9 +58,9 @@ class WorkUnit {
 
   /// One entry a point, written by the steps for core points; of halo points
   /// they are to be set before a step.
-  std::vector<DeathRound>& deaths() { return deaths_; }
+  BulkVector<DeathRound>& deaths() { return deaths_; }
   /// Of core points, written by RunPaperRound; given up by ComputeVoters.
-  std::vector<RoundState>& round_states() { return round_states_; }
+  BulkVector<RoundState>& round_states() { return round_states_; }
 
   /// Rule kPaper: evaluates core points on the survivors of `round` - 1 (all
   /// of them in round 1, later those that lost a neighbour in it), then draws
@@ -80,7 +81,7 @@ class WorkUnit {
   absl::Status ComputeVoters(const ExecutionContext& context);
   /// One entry a point; of halo points to be set before CastAwareVotes, which
   /// gives them up.
-  std::vector<VoterState>& voters() { return voters_; }
+  BulkVector<VoterState>& voters() { return voters_; }
 
   /// The survivors, halo included, in order, and the aware votes and labels of
   /// those of the core.
@@ -122,10 +123,10 @@ class WorkUnit {
 
   const SpdfOptions options_;
   const SpdfConstants constants_;
-  std::vector<uint8_t> is_core_;
-  std::vector<DeathRound> deaths_;
-  std::vector<RoundState> round_states_;
-  std::vector<VoterState> voters_;
+  BulkVector<uint8_t> is_core_;
+  BulkVector<DeathRound> deaths_;
+  BulkVector<RoundState> round_states_;
+  BulkVector<VoterState> voters_;
 
   /// Survivors of indexed_round_, and who died in it.
   PointIndex index_;

@@ -2,6 +2,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "core/base/bulk_vector.h"
 #include "core/base/bytes.h"
 #include "core/base/executor.h"
 #include "core/base/hash.h"
@@ -72,6 +73,22 @@ TEST(ByteReader, NamesTheFieldAndTheOffsetBeyondTheEnd) {
               StatusIs(absl::StatusCode::kDataLoss,
                        HasSubstr("point count at offset 8: expected 4 bytes, "
                                  "have 0")));
+}
+
+TEST(BulkVector, HoldsItsElementsAcrossTheSizeOfHugePages) {
+  BulkVector<int32_t> values;
+  constexpr int32_t kCount = 3'000'000;
+  for (int32_t i = 0; i < kCount; ++i) values.push_back(i);
+  BulkVector<int32_t> copy = values;
+  copy.resize(10);
+  copy.shrink_to_fit();
+  copy.resize(12, 7);
+  EXPECT_EQ(copy.back(), 7);
+  EXPECT_EQ(copy[9], 9);
+  for (int32_t i = 0; i < kCount; ++i) {
+    ASSERT_EQ(values[static_cast<size_t>(i)], i);
+  }
+  EXPECT_THROW(values.reserve(values.max_size()), std::bad_alloc);
 }
 
 }  // namespace

@@ -285,7 +285,7 @@ bool IsInner(const LatticePoint& q, int64_t limit) {
 /// Largest angle in degrees between `axis` and the decoded vectors.
 template <typename Axis, typename Where>
 double LargestAngle(const Answer& answer,
-                    const std::vector<OctahedralVector>& vectors, Axis axis,
+                    std::span<const OctahedralVector> vectors, Axis axis,
                     Where where) {
   double largest = 0;
   for (size_t i = 0; i < answer.positions.size(); ++i) {

@@ -87,7 +87,7 @@ RULES = {
         ("core", "abseil", "eigen"), in_cc=("nanoflann", "octomap"),
         never=FILES + CLOCKS + LOGGING + THREADS + ("core/codec",)),
     "core/base": Rule(
-        ("core/base", "abseil", "threads", "glibc"), in_cc=("xxhash",),
+        ("core/base", "abseil", "threads", "glibc", "posix"), in_cc=("xxhash",),
         never=FILES + CLOCKS + LOGGING),
     "core/spdf": Rule(
         ("core", "abseil", "intrinsics"),
@@ -131,6 +131,7 @@ ONE_FILE = {
     "core/base/executor.cc": THREADS,
     "core/base/mutex.h": ("mutex",),
     "core/base/heap.h": ("glibc",),
+    "core/base/bulk_vector.h": ("posix",),
     "core/spdf/kernel_vectors.h": ("intrinsics",),
     # Not installed: what the client shows has no generated type.
     "client/api/convert.h": ("proto", "grpc"),
