@@ -10,7 +10,7 @@ build=(
   libabsl-dev libeigen3-dev liblz4-dev libzstd-dev libxxhash-dev liblzf-dev
   libsqlite3-dev libcli11-dev nlohmann-json3-dev libspdlog-dev libpng-dev
   libfreetype-dev fonts-dejavu-core gnuplot-nox
-  libgtest-dev libgmock-dev
+  libgtest-dev libgmock-dev libnanoflann-dev
 )
 runtime=(
   libgrpc++1.51 libprotobuf32 libabsl20220623 liblz4-1 libzstd1 libxxhash0
