@@ -90,7 +90,7 @@ absl::StatusOr<Sample> TakeSample(core::PointCloud input,
       core::Quantize(std::move(input), lattice, sample.refused, executor);
   if (command.method == "random") {
     const core::LatticeCloud distinct =
-        cloud.Select(core::MergeDuplicates(cloud));
+        cloud.Select(core::MergeDuplicates(cloud, executor));
     sample.cloud = distinct.Select(core::RandomSample(
         distinct.positions, command.max_points, command.options.seed));
     sample.after_rounds = static_cast<int64_t>(sample.cloud.size());

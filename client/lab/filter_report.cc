@@ -19,7 +19,7 @@ using core::Label;
 using core::LatticeCloud;
 using core::LatticePoint;
 
-constexpr int64_t kPointsPerTask = 4096;
+constexpr size_t kPointsPerTask = 4096;
 
 size_t Index(Label label) { return static_cast<size_t>(label); }
 
@@ -86,15 +86,12 @@ std::vector<int64_t> CountOthers(const BallCounter& counter,
                                  const std::vector<LatticePoint>& centers,
                                  int64_t radius_d2, Executor& executor) {
   std::vector<int64_t> counts(centers.size());
-  const auto count = static_cast<int64_t>(centers.size());
-  executor.ParallelFor(
-      (count + kPointsPerTask - 1) / kPointsPerTask, [&](int64_t task) {
-        const int64_t end = std::min(count, (task + 1) * kPointsPerTask);
-        for (int64_t i = task * kPointsPerTask; i < end; ++i) {
-          const auto at = static_cast<size_t>(i);
-          counts[at] = counter.Count(centers[at], radius_d2) - 1;
-        }
-      });
+  ForEachPart(executor, centers.size(), kPointsPerTask,
+              [&](size_t, size_t begin, size_t end) {
+                for (size_t i = begin; i < end; ++i) {
+                  counts[i] = counter.Count(centers[i], radius_d2) - 1;
+                }
+              });
   return counts;
 }
 

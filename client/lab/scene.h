@@ -8,7 +8,7 @@
 
 #include "core/cloud/label.h"
 #include "core/geometry/lattice.h"
-#include "core/geometry/symmetric3.h"
+#include "core/geometry/vector3.h"
 
 /// A world of simple bodies and the rays that meet it. Lengths are metres;
 /// z is up. A scene has a frame of its own; nothing here knows of maps.

@@ -8,7 +8,7 @@
 
 #include "client/lab/scene.h"
 #include "core/geometry/lattice.h"
-#include "core/geometry/symmetric3.h"
+#include "core/geometry/vector3.h"
 
 namespace mapsieve::client {
 

@@ -23,8 +23,7 @@ class BulkAllocator {
 
   BulkAllocator() = default;
   template <typename U>
-  BulkAllocator(const BulkAllocator<U>&) {
-  }  // NOLINT(google-explicit-constructor)
+  explicit BulkAllocator(const BulkAllocator<U>&) {}
 
   T* allocate(size_t count) {
     constexpr size_t kHugePage = size_t{1} << 21;

@@ -1,6 +1,8 @@
 #ifndef MAPSIEVE_CORE_BASE_EXECUTOR_H_
 #define MAPSIEVE_CORE_BASE_EXECUTOR_H_
 
+#include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -34,6 +36,23 @@ Executor& InlineExecutor();
 /// Makes an executor of `worker_count` workers (the caller of ParallelFor is
 /// one of them). One ParallelFor runs at a time; others wait. Thread-safe.
 std::unique_ptr<Executor> MakeWorkerPool(int worker_count);
+
+/// How many parts ForEachPart makes.
+inline size_t PartCount(size_t size, size_t part_size) {
+  return (size + part_size - 1) / part_size;
+}
+
+/// Calls task(part, begin, end) for parts [begin, end) of [0, size), each of
+/// `part_size` but the last, as tasks of `executor`; `part` counts them.
+template <typename Task>
+void ForEachPart(Executor& executor, size_t size, size_t part_size,
+                 const Task& task) {
+  executor.ParallelFor(
+      static_cast<int64_t>(PartCount(size, part_size)), [&](int64_t p) {
+        const auto part = static_cast<size_t>(p);
+        task(part, part * part_size, std::min(size, (part + 1) * part_size));
+      });
+}
 
 /// Receives progress as counts that never decrease.
 class ProgressSink {

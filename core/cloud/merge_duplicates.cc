@@ -69,16 +69,6 @@ void SortRows(std::span<CodedRow> rows, std::span<CodedRow> room) {
   }
 }
 
-/// Calls task(part, begin, end) for parts of [0, size).
-template <typename Task>
-void ForEachPart(Executor& executor, size_t size, const Task& task) {
-  const size_t parts = (size + kTaskRows - 1) / kTaskRows;
-  executor.ParallelFor(static_cast<int64_t>(parts), [&](int64_t p) {
-    const auto part = static_cast<size_t>(p);
-    task(part, part * kTaskRows, std::min(size, (part + 1) * kTaskRows));
-  });
-}
-
 /// Moves `rows` to `sorted`, ordered by bucket_of, stable. Returns where each
 /// bucket starts, and at the end where the last one ends.
 template <typename BucketOf>
@@ -86,9 +76,9 @@ std::vector<size_t> Partition(Executor& executor,
                               std::span<const CodedRow> rows,
                               size_t bucket_count, const BucketOf& bucket_of,
                               std::span<CodedRow> sorted) {
-  const size_t parts = (rows.size() + kTaskRows - 1) / kTaskRows;
+  const size_t parts = PartCount(rows.size(), kTaskRows);
   std::vector<std::vector<size_t>> next(parts);
-  ForEachPart(executor, rows.size(),
+  ForEachPart(executor, rows.size(), kTaskRows,
               [&](size_t part, size_t begin, size_t end) {
                 next[part].resize(bucket_count);
                 for (size_t i = begin; i < end; ++i)
@@ -106,7 +96,7 @@ std::vector<size_t> Partition(Executor& executor,
     }
   }
   starts.push_back(start);
-  ForEachPart(executor, rows.size(),
+  ForEachPart(executor, rows.size(), kTaskRows,
               [&](size_t part, size_t begin, size_t end) {
                 for (size_t i = begin; i < end; ++i) {
                   sorted[next[part][bucket_of(rows[i])]++] = rows[i];
@@ -119,9 +109,9 @@ std::vector<size_t> Partition(Executor& executor,
 /// `positions`, in Morton order.
 std::vector<CellKey> FindCells(Executor& executor,
                                std::span<const LatticePoint> positions) {
-  const size_t parts = (positions.size() + kTaskRows - 1) / kTaskRows;
+  const size_t parts = PartCount(positions.size(), kTaskRows);
   std::vector<std::unordered_set<CellKey, CellKeyHash>> found(parts);
-  ForEachPart(executor, positions.size(),
+  ForEachPart(executor, positions.size(), kTaskRows,
               [&](size_t part, size_t begin, size_t end) {
                 CellKey last = {.level = -1};
                 for (size_t i = begin; i < end; ++i) {
@@ -170,10 +160,11 @@ std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
   const std::vector<CellKey> cells = FindCells(executor, positions);
   BulkVector<CodedRow> rows(positions.size());
   BulkVector<CodedRow> sorted(positions.size());
-  const size_t parts = (positions.size() + kTaskRows - 1) / kTaskRows;
+  const size_t parts = PartCount(positions.size(), kTaskRows);
   std::vector<uint64_t> differing_of(parts);
   ForEachPart(
-      executor, positions.size(), [&](size_t part, size_t begin, size_t end) {
+      executor, positions.size(), kTaskRows,
+      [&](size_t part, size_t begin, size_t end) {
         const uint64_t first = CodeInCell(positions[0]);
         for (size_t i = begin; i < end; ++i) {
           rows[i] = {CodeInCell(positions[i]), static_cast<uint32_t>(i)};
@@ -205,7 +196,7 @@ std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
   });
   rows = BulkVector<CodedRow>();
   std::vector<uint32_t> order(positions.size());
-  ForEachPart(executor, positions.size(),
+  ForEachPart(executor, positions.size(), kTaskRows,
               [&](size_t, size_t begin, size_t end) {
                 for (size_t i = begin; i < end; ++i) order[i] = sorted[i].row;
               });

@@ -18,23 +18,21 @@ LatticeCloud Quantize(PointCloud cloud, const Lattice& lattice,
                       RefusedCounts& refused, Executor& executor) {
   constexpr size_t kTaskRows = 1 << 16;
   const size_t size = cloud.size();
-  const size_t parts = (size + kTaskRows - 1) / kTaskRows;
   LatticeCloud result{.lattice = lattice};
   result.positions.resize(size);
   // Rows that were refused, of each part.
-  std::vector<std::vector<uint32_t>> refused_rows(parts);
-  executor.ParallelFor(static_cast<int64_t>(parts), [&](int64_t p) {
-    const auto part = static_cast<size_t>(p);
-    const size_t end = std::min(size, (part + 1) * kTaskRows);
-    for (size_t i = part * kTaskRows; i < end; ++i) {
-      const auto q = lattice.Quantize(cloud.positions[i]);
-      if (q.has_value()) {
-        result.positions[i] = *q;
-      } else {
-        refused_rows[part].push_back(static_cast<uint32_t>(i));
-      }
-    }
-  });
+  std::vector<std::vector<uint32_t>> refused_rows(PartCount(size, kTaskRows));
+  ForEachPart(executor, size, kTaskRows,
+              [&](size_t part, size_t begin, size_t end) {
+                for (size_t i = begin; i < end; ++i) {
+                  const auto q = lattice.Quantize(cloud.positions[i]);
+                  if (q.has_value()) {
+                    result.positions[i] = *q;
+                  } else {
+                    refused_rows[part].push_back(static_cast<uint32_t>(i));
+                  }
+                }
+              });
   std::vector<uint32_t> kept;
   uint32_t next = 0;
   for (const std::vector<uint32_t>& rows : refused_rows) {

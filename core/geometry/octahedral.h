@@ -4,7 +4,7 @@
 #include <array>
 #include <cstdint>
 
-#include "core/geometry/symmetric3.h"
+#include "core/geometry/vector3.h"
 
 namespace mapsieve::core {
 

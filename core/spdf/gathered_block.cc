@@ -18,7 +18,7 @@ void GatheredBlock::Gather(const IndexBox& box, int64_t radius) {
   }
   half_diagonal_ = CeilRoot(half2);
   radius_ = radius;
-  nearest_radius_ = kNoRadius;
+  nearest_radius_ = kUnbounded;
   index_.FindRanges(box, radius, ranges_);
   size_t total = 2 * kKernelPadding;
   for (const auto& [begin, end] : ranges_) total += end - begin;
@@ -38,7 +38,7 @@ void GatheredBlock::Gather(const IndexBox& box, int64_t radius) {
 
 void GatheredBlock::GatherNearest(const IndexBox& box, int64_t radius,
                                   int neighbor_count) {
-  if (nearest_radius_ != kNoRadius) {
+  if (nearest_radius_ != kUnbounded) {
     // What is within the last centre's radius is within this far of any point
     // of the box.
     int64_t farthest2 = 0;

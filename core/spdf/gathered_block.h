@@ -11,6 +11,9 @@
 
 namespace mapsieve::core {
 
+/// A radius without a bound.
+inline constexpr int64_t kUnbounded = int64_t{1} << 40;
+
 /// Candidates copied out of an index around a box of query points, relative to
 /// its centre. Reused from one box to the next. Not thread-safe.
 class GatheredBlock {
@@ -59,9 +62,8 @@ class GatheredBlock {
   int64_t half_diagonal_ = 0;
   int64_t radius_ = 0;
   /// As many points as GatherNearest wants lie within it around the centre;
-  /// kNoRadius if they are not known.
-  int64_t nearest_radius_ = kNoRadius;
-  static constexpr int64_t kNoRadius = int64_t{1} << 40;
+  /// kUnbounded if they are not known.
+  int64_t nearest_radius_ = kUnbounded;
 
   // As kernels want them; count_ of the elements are in use.
   std::vector<int32_t> xy_;

@@ -10,7 +10,7 @@
 #include "core/base/hash.h"
 #include "core/base/status.h"
 #include "core/geometry/octahedral.h"
-#include "core/geometry/symmetric3.h"
+#include "core/geometry/vector3.h"
 #include "core/spdf/integer_root.h"
 #include "core/spdf/strength_tests.h"
 
@@ -25,8 +25,6 @@ constexpr uint32_t kTaskPoints = 2048;
 constexpr uint32_t kGroupPoints = 32;
 /// Wanted points that lie among so many others are still nearby.
 constexpr uint32_t kGroupSpread = 128;
-
-constexpr int64_t kUnbounded = int64_t{1} << 40;
 
 /// Share of flagged points that survive a draw, in units of 2^-24.
 constexpr double kJunctionSurvival = 0.2;
@@ -362,7 +360,10 @@ absl::StatusOr<WorkUnit::RoundCounts> WorkUnit::RunPaperRound(
 
 class WorkUnit::QuotaVisitor {
  public:
-  explicit QuotaVisitor(WorkUnit& unit) : unit_(unit), block_(unit.index_) {}
+  /// `upper`: the upper half of every index point's priority, in the order of
+  /// signed integers.
+  QuotaVisitor(WorkUnit& unit, std::span<const int32_t> upper)
+      : unit_(unit), upper_(upper), block_(unit.index_) {}
 
   void operator()(int64_t, std::span<const uint32_t> points) {
     const int64_t radius = CeilRoot(unit_.constants_.density_d2);
@@ -377,64 +378,47 @@ class WorkUnit::QuotaVisitor {
   }
 
  private:
-  uint64_t Priority(uint32_t i) const {
-    const LatticePoint q = unit_.index_.Position(i);
-    const int64_t key[4] = {q.x, q.y, q.z, unit_.options_.seed};
-    return HashIntegers(key);
-  }
-
   void Decide(std::span<const uint32_t> points) {
     const int k = unit_.constants_.neighbor_count;
-    const int32_t radius_d2 = unit_.constants_.density_d2;
     const std::span<const int32_t> ids = block_.ids();
-    priorities_.clear();
-    for (const int32_t i : ids) {
-      priorities_.push_back(Priority(static_cast<uint32_t>(i)));
+    near_.assign(ids.size() + kKernelPadding, 0);
+    for (size_t c = 0; c < ids.size(); ++c) {
+      near_[c] = upper_[static_cast<size_t>(ids[c])];
     }
-    // The upper halves, in the order of signed integers.
-    upper_.assign(ids.size() + kKernelPadding, 0);
-    for (size_t i = 0; i < ids.size(); ++i) {
-      upper_[i] = static_cast<int32_t>(priorities_[i] >> 32 ^ 0x80000000u);
-    }
-    auto at = ids.begin();
     for (const uint32_t i : points) {
-      at = std::find(at, ids.end(), static_cast<int32_t>(i));
-      const auto self = static_cast<size_t>(at - ids.begin());
       const auto [x, y, z] = block_.Relative(i);
-      const auto count = [&](int32_t priority) {
-        return ActiveKernels().count_better(block_.block(), upper_.data(), x, y,
-                                            z, radius_d2, priority, k);
-      };
-      if (count(upper_[self]) >= k ||
-          (HasTwin(self) && CountBetter(self) >= k)) {
+      const int better = ActiveKernels().count_better(
+          block_.block(), near_.data(), x, y, z, unit_.constants_.density_d2,
+          upper_[i], k);
+      if (better >= k || (HasTwin(i) && CountBetter(i) >= k)) {
         unit_.deaths_[unit_.index_.numbers()[i]] = 1;
       }
     }
   }
 
   /// Whether another point of the block has the same upper half.
-  bool HasTwin(size_t self) const {
-    return std::count(upper_.begin(), upper_.end() - kKernelPadding,
-                      upper_[self]) > 1;
+  bool HasTwin(uint32_t i) const {
+    return std::count(near_.begin(), near_.end() - kKernelPadding, upper_[i]) >
+           1;
   }
 
-  /// Points within the density radius of candidate `self` that are better than
+  /// Points within the density radius of index point `i` that are better than
   /// it, by the whole priority, ties by coordinate.
-  int CountBetter(size_t self) const {
-    const std::span<const int32_t> ids = block_.ids();
-    const auto rank = [&](size_t i) {
-      return std::pair(priorities_[i],
-                       unit_.index_.Position(static_cast<uint32_t>(ids[i])));
+  int CountBetter(uint32_t i) const {
+    const PointIndex& index = unit_.index_;
+    const auto rank = [&](uint32_t point) {
+      return std::pair(unit_.Priority(point), index.Position(point));
     };
-    const auto [x, y, z] = block_.Relative(static_cast<uint32_t>(ids[self]));
+    const auto [x, y, z] = block_.Relative(i);
     int better = 0;
-    for (size_t i = 0; i < ids.size(); ++i) {
-      const auto [ox, oy, oz] = block_.Relative(static_cast<uint32_t>(ids[i]));
+    for (const int32_t id : block_.ids()) {
+      const auto other = static_cast<uint32_t>(id);
+      const auto [ox, oy, oz] = block_.Relative(other);
       const int32_t dx = ox - x;
       const int32_t dy = oy - y;
       const int32_t dz = oz - z;
       if (dx * dx + dy * dy + dz * dz <= unit_.constants_.density_d2 &&
-          rank(i) < rank(self)) {
+          rank(other) < rank(i)) {
         ++better;
       }
     }
@@ -442,16 +426,31 @@ class WorkUnit::QuotaVisitor {
   }
 
   WorkUnit& unit_;
+  const std::span<const int32_t> upper_;
   GatheredBlock block_;
-  std::vector<uint64_t> priorities_;
-  std::vector<int32_t> upper_;
+  /// Of the block's candidates.
+  std::vector<int32_t> near_;
 };
+
+uint64_t WorkUnit::Priority(uint32_t i) const {
+  const LatticePoint q = index_.Position(i);
+  const int64_t key[4] = {q.x, q.y, q.z, options_.seed};
+  return HashIntegers(key);
+}
 
 absl::Status WorkUnit::RunQuota(const ExecutionContext& context) {
   IndexSurvivors(0, context);
+  BulkVector<int32_t> upper(index_.size());
+  ForEachPart(*context.executor, upper.size(), 8192,
+              [&](size_t, size_t begin, size_t end) {
+                for (size_t i = begin; i < end; ++i) {
+                  upper[i] = static_cast<int32_t>(
+                      Priority(static_cast<uint32_t>(i)) >> 32 ^ 0x80000000u);
+                }
+              });
   return ForEachGroup(
       context, [](uint32_t) { return true; },
-      [&] { return QuotaVisitor(*this); });
+      [&] { return QuotaVisitor(*this, upper); });
 }
 
 class WorkUnit::VoterVisitor {

@@ -116,6 +116,9 @@ class WorkUnit {
   void CastBallVotes(GatheredBlock& block, int64_t bound, int32_t limit_d2,
                      std::span<const uint32_t> points, const Use& use) const;
 
+  /// Of an index point, by rule kQuota: the smaller, the better.
+  uint64_t Priority(uint32_t i) const;
+
   class RoundVisitor;
   class QuotaVisitor;
   class VoterVisitor;

@@ -154,7 +154,8 @@ double PeakBytesPerPoint(const char* program, const std::string& cloud,
       std::string(program) + " --memory --rho " +
       std::to_string(options.spdf.density_radius_m) + " --sigma " +
       std::to_string(options.spdf.vote_scale_m2) + " --reach " +
-      std::to_string(options.spdf.reach_m) + " --threads " +
+      std::to_string(options.spdf.reach_m) + " --neighbors " +
+      std::to_string(options.spdf.neighbor_count) + " --threads " +
       std::to_string(options.threads) + " '" + cloud + "'";
   FILE* pipe = popen(command.c_str(), "r");
   double value = 0;

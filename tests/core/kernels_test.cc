@@ -10,12 +10,16 @@
 #include <string>
 #include <vector>
 
-#include "core/geometry/symmetric3.h"
 #include "core/spdf/spdf_options.h"
 #include "gtest/gtest.h"
+#include "tests/testing/symmetric3.h"
 
 namespace mapsieve::core {
 namespace {
+
+using testing::Decompose;
+using testing::EigenSystem3;
+using testing::Symmetric3;
 
 std::vector<const Kernels*> All() {
   int count = 0;

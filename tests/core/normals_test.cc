@@ -74,12 +74,13 @@ TEST(Normals, OfPlanesAlongTheAxesAreWithinADegree) {
   }
 }
 
-TEST(Normals, OfPlanesWithTwoCentimetresOfNoiseAreWithinThreeDegrees) {
+TEST(Normals, OfPlanesWithTwoCentimetresOfNoiseNeedWideOrManyVoters) {
   for (const DensityRule rule : kRules) {
     SCOPED_TRACE(std::string(DensityRuleName(rule)));
     EXPECT_LE(WorstMedian(rule, 0.4, 50, 0.02), 3);
-    // Where the noise is a tenth of the radius, 50 voters do not even it out.
     EXPECT_LE(WorstMedian(rule, 0.2, 100, 0.02), 3);
+    // Where the noise is a tenth of the radius, 50 voters do not even it out:
+    // 3 degrees are not reached.
     EXPECT_LE(WorstMedian(rule, 0.2, 50, 0.02), 4.5);
   }
 }

@@ -1,5 +1,5 @@
-// Statistics that the authors' implementation gives on recorded clouds; draws
-// differ, so counts agree and points do not.
+// Statistics that the authors' implementation gives on the reference clouds;
+// draws differ, so counts agree and points do not.
 #include <filesystem>
 #include <fstream>
 #include <vector>

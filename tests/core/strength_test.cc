@@ -3,15 +3,17 @@
 #include <random>
 #include <vector>
 
-#include "core/geometry/symmetric3.h"
 #include "core/spdf/kernels.h"
 #include "core/spdf/labels.h"
 #include "core/spdf/spdf_options.h"
 #include "core/spdf/strength_tests.h"
 #include "tests/testing/status_matchers.h"
+#include "tests/testing/symmetric3.h"
 
 namespace mapsieve::core {
 namespace {
+
+using testing::Decompose;
 
 using ::mapsieve::testing::StatusIs;
 using ::testing::HasSubstr;

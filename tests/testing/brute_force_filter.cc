@@ -8,7 +8,8 @@
 #include <utility>
 
 #include "core/base/hash.h"
-#include "core/geometry/symmetric3.h"
+#include "core/geometry/vector3.h"
+#include "tests/testing/symmetric3.h"
 
 namespace mapsieve::testing {
 namespace {
@@ -17,7 +18,6 @@ using core::Label;
 using core::LatticePoint;
 using core::SpdfConstants;
 using core::SpdfOptions;
-using core::Symmetric3;
 
 using Tensor = std::array<int64_t, 6>;  // xx xy xz yy yz zz, units of 2^-24
 
@@ -124,7 +124,7 @@ class Filter {
       std::vector<LatticePoint> survivors;
       bool any_flagged = false;
       for (size_t i = 0; i < points_.size(); ++i) {
-        const auto lambda = core::Decompose(BallTensor(i)).values;
+        const auto lambda = Decompose(BallTensor(i)).values;
         bool dies = false;
         const auto test = [&](bool flagged, int64_t number, double survival) {
           if (!flagged) return;
@@ -167,7 +167,7 @@ class Filter {
 
   std::array<float, 6> Voter(size_t i) const {
     const Symmetric3 t = BallTensor(i);
-    const double smallest = core::SmallestEigenvalue(t);
+    const double smallest = SmallestEigenvalue(t);
     return {static_cast<float>(t.xx - smallest),
             static_cast<float>(t.xy),
             static_cast<float>(t.xz),
@@ -211,9 +211,8 @@ class Filter {
       columns.tangent.push_back(0);
       return;
     }
-    const auto eigen =
-        core::Decompose({Scale(sum[0]), Scale(sum[1]), Scale(sum[2]),
-                         Scale(sum[3]), Scale(sum[4]), Scale(sum[5])});
+    const auto eigen = Decompose({Scale(sum[0]), Scale(sum[1]), Scale(sum[2]),
+                                  Scale(sum[3]), Scale(sum[4]), Scale(sum[5])});
     const std::array<float, 3> lambda = {static_cast<float>(eigen.values[0]),
                                          static_cast<float>(eigen.values[1]),
                                          static_cast<float>(eigen.values[2])};

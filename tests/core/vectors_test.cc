@@ -1,14 +1,18 @@
-#include "core/geometry/symmetric3.h"
-
 #include <cmath>
 #include <random>
 
 #include "Eigen/Eigenvalues"
 #include "core/geometry/octahedral.h"
 #include "gtest/gtest.h"
+#include "tests/testing/symmetric3.h"
 
 namespace mapsieve::core {
 namespace {
+
+using testing::Decompose;
+using testing::EigenSystem3;
+using testing::SmallestEigenvalue;
+using testing::Symmetric3;
 
 double Dot(const Vector3& a, const Vector3& b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

@@ -1,10 +1,10 @@
-#include "core/geometry/symmetric3.h"
+#include "tests/testing/symmetric3.h"
 
 #include <algorithm>
 #include <cmath>
 #include <numeric>
 
-namespace mapsieve::core {
+namespace mapsieve::testing {
 namespace {
 
 using Matrix3 = std::array<std::array<double, 3>, 3>;
@@ -83,13 +83,4 @@ double SmallestEigenvalue(const Symmetric3& matrix) {
   return std::min({a[0][0], a[1][1], a[2][2]});
 }
 
-Vector3 WithCanonicalSign(const Vector3& v) {
-  size_t largest = 0;
-  for (size_t i = 1; i < 3; ++i) {
-    if (std::abs(v[i]) > std::abs(v[largest])) largest = i;
-  }
-  if (v[largest] >= 0.0) return v;
-  return {-v[0], -v[1], -v[2]};
-}
-
-}  // namespace mapsieve::core
+}  // namespace mapsieve::testing

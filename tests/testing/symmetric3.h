@@ -1,9 +1,12 @@
-#ifndef MAPSIEVE_CORE_GEOMETRY_SYMMETRIC3_H_
-#define MAPSIEVE_CORE_GEOMETRY_SYMMETRIC3_H_
+#ifndef MAPSIEVE_TESTS_TESTING_SYMMETRIC3_H_
+#define MAPSIEVE_TESTS_TESTING_SYMMETRIC3_H_
 
 #include <array>
 
-namespace mapsieve::core {
+#include "core/geometry/vector3.h"
+
+/// Eigenvalues one matrix at a time: the oracle of the kernels' batches.
+namespace mapsieve::testing {
 
 /// A symmetric 3 x 3 matrix.
 struct Symmetric3 {
@@ -15,13 +18,11 @@ struct Symmetric3 {
   double zz = 0;
 };
 
-using Vector3 = std::array<double, 3>;
-
 struct EigenSystem3 {
   /// Descending.
   std::array<double, 3> values;
   /// vectors[i] is the unit eigenvector of values[i].
-  std::array<Vector3, 3> vectors;
+  std::array<core::Vector3, 3> vectors;
 };
 
 /// Eigenvalues and eigenvectors by cyclic Jacobi rotations: a fixed sequence of
@@ -31,9 +32,6 @@ EigenSystem3 Decompose(const Symmetric3& matrix);
 /// The smallest eigenvalue of `matrix`, as Decompose gives it.
 double SmallestEigenvalue(const Symmetric3& matrix);
 
-/// `v` or -v: the component of largest magnitude is positive (ties x, y, z).
-Vector3 WithCanonicalSign(const Vector3& v);
+}  // namespace mapsieve::testing
 
-}  // namespace mapsieve::core
-
-#endif  // MAPSIEVE_CORE_GEOMETRY_SYMMETRIC3_H_
+#endif  // MAPSIEVE_TESTS_TESTING_SYMMETRIC3_H_
