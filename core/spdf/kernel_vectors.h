@@ -34,11 +34,18 @@ inline Lanes ShiftToHigh(Lanes a) {
 }
 inline Lanes SubtractHalves(Lanes a, Lanes b) { return _mm512_sub_epi16(a, b); }
 inline Lanes SquareHalves(Lanes a) { return _mm512_madd_epi16(a, a); }
+/// GCC 12 spills a mask as 16 bits and may read it back as 32: it is moved to a
+/// general register, whose spills are whole, as soon as it is made.
+inline LaneMask Whole(__mmask16 mask) {
+  LaneMask whole = mask;
+  asm("" : "+r"(whole));
+  return whole;
+}
 inline LaneMask IsLessEqual(Lanes a, Lanes b) {
-  return _mm512_cmple_epi32_mask(a, b);
+  return Whole(_mm512_cmple_epi32_mask(a, b));
 }
 inline LaneMask IsLess(Lanes a, Lanes b) {
-  return _mm512_cmplt_epi32_mask(a, b);
+  return Whole(_mm512_cmplt_epi32_mask(a, b));
 }
 inline void StoreChosen(int32_t* p, LaneMask chosen, Lanes a) {
   // Compressed in a register: straight to memory is slow on some processors.
