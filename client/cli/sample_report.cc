@@ -252,11 +252,15 @@ std::string DensityScript(const FilterReport& report) {
         .aim = 1};
     for (const RuleReport& rule : report.rules) {
       const LabelDensity& density = rule.density[Index(label)];
-      panel.series.push_back(
-          {absl::StrFormat("%s: mean %.2f, 80 %%: %.2f to %.2f",
-                           Name(rule.rule), density.reached.mean,
-                           density.reached.p10, density.reached.p90),
-           RuleColor(rule.rule), &density.reached_histogram});
+      const std::string reached =
+          density.reached.count == 0
+              ? "no such place was dense enough"
+              : absl::StrFormat("mean %.2f, 80 %%: %.2f to %.2f",
+                                density.reached.mean, density.reached.p10,
+                                density.reached.p90);
+      panel.series.push_back({absl::StrCat(Name(rule.rule), ": ", reached),
+                              RuleColor(rule.rule),
+                              &density.reached_histogram});
     }
     const auto [first, end] = OccupiedBins(panel.series, RatioBins::kCount);
     panel.x_axis = absl::StrFormat(

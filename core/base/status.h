@@ -25,10 +25,13 @@ inline std::string_view ToStd(absl::string_view text) {
   return {text.data(), text.size()};
 }
 
-/// Returns `status` with "context: " before its message; OK stays OK.
+/// Returns `status` with "context: " before its message, unless that begins
+/// with the context already; OK stays OK.
 inline absl::Status Annotate(const absl::Status& status,
                              std::string_view context) {
-  if (status.ok()) return status;
+  if (status.ok() || ToStd(status.message()).starts_with(context)) {
+    return status;
+  }
   return absl::Status(status.code(),
                       absl::StrCat(ToAbsl(context), ": ", status.message()));
 }

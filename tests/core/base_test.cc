@@ -75,6 +75,14 @@ TEST(ByteReader, NamesTheFieldAndTheOffsetBeyondTheEnd) {
                                  "have 0")));
 }
 
+TEST(Annotate, NamesTheContextOnce) {
+  const absl::Status named = Annotate(absl::DataLossError("short"), "a.las");
+  EXPECT_THAT(named, StatusIs(absl::StatusCode::kDataLoss,
+                              ::testing::StrEq("a.las: short")));
+  EXPECT_EQ(Annotate(named, "a.las"), named);
+  MAPSIEVE_EXPECT_OK(Annotate(absl::OkStatus(), "a.las"));
+}
+
 TEST(BulkVector, HoldsItsElementsAcrossTheSizeOfHugePages) {
   BulkVector<int32_t> values;
   constexpr int32_t kCount = 3'000'000;
