@@ -4,6 +4,7 @@
 #include <sys/mman.h>
 
 #include <cstddef>
+#include <cstdint>
 #include <cstdlib>
 #include <memory>
 #include <new>
@@ -13,9 +14,29 @@
 
 namespace mapsieve {
 
-/// Allocates like std::allocator, but asks the system for huge pages for what
-/// is as large as several of them: touching fresh memory page by page costs
-/// more than all else that is done with an array which is filled once.
+inline constexpr size_t kHugePageBytes = size_t{1} << 21;
+
+/// Asks the system for huge pages for [block, block + bytes): touching fresh
+/// memory page by page costs more than all else that is done with an array
+/// which is filled once.
+inline void AdviseHugePages(void* block, size_t bytes) {
+#if defined(MADV_HUGEPAGE)
+  const auto begin = reinterpret_cast<uintptr_t>(block);
+  const uintptr_t first =
+      (begin + kHugePageBytes - 1) / kHugePageBytes * kHugePageBytes;
+  const uintptr_t last = (begin + bytes) / kHugePageBytes * kHugePageBytes;
+  // Advice: refusing it is no error.
+  if (first < last) {
+    (void)madvise(reinterpret_cast<void*>(first), last - first, MADV_HUGEPAGE);
+  }
+#else
+  (void)block;
+  (void)bytes;
+#endif
+}
+
+/// Allocates like std::allocator, but with huge pages for what is as large as
+/// several of them.
 template <typename T>
 class BulkAllocator {
  public:
@@ -26,25 +47,21 @@ class BulkAllocator {
   explicit BulkAllocator(const BulkAllocator<U>&) {}
 
   T* allocate(size_t count) {
-    constexpr size_t kHugePage = size_t{1} << 21;
-    if (count < 2 * kHugePage / sizeof(T)) {
+    if (count < kBulkBytes / sizeof(T)) {
       return std::allocator<T>().allocate(count);
     }
     if (count > static_cast<size_t>(-1) / 2 / sizeof(T)) throw std::bad_alloc();
     const size_t bytes =
-        (count * sizeof(T) + kHugePage - 1) / kHugePage * kHugePage;
-    void* block = std::aligned_alloc(kHugePage, bytes);
+        (count * sizeof(T) + kHugePageBytes - 1) / kHugePageBytes *
+        kHugePageBytes;
+    void* block = std::aligned_alloc(kHugePageBytes, bytes);
     if (block == nullptr) throw std::bad_alloc();
-#if defined(MADV_HUGEPAGE)
-    // Advice: refusing it is no error.
-    (void)madvise(block, bytes, MADV_HUGEPAGE);
-#endif
+    AdviseHugePages(block, bytes);
     return static_cast<T*>(block);
   }
 
   void deallocate(T* block, size_t count) {
-    constexpr size_t kHugePage = size_t{1} << 21;
-    if (count < 2 * kHugePage / sizeof(T)) {
+    if (count < kBulkBytes / sizeof(T)) {
       std::allocator<T>().deallocate(block, count);
     } else {
       std::free(block);
@@ -65,6 +82,9 @@ class BulkAllocator {
   friend bool operator==(const BulkAllocator&, const BulkAllocator&) {
     return true;
   }
+
+ private:
+  static constexpr size_t kBulkBytes = 2 * kHugePageBytes;
 };
 
 /// A vector for arrays of millions of elements. resize leaves new elements of a

@@ -128,6 +128,22 @@ std::unique_ptr<Executor> MakeWorkerPool(int worker_count) {
   return std::make_unique<WorkerPool>(std::max(worker_count, 1));
 }
 
+absl::Status TryParallelFor(Executor& executor, int64_t count,
+                            const std::function<absl::Status(int64_t)>& task) {
+  std::vector<absl::Status> statuses(static_cast<size_t>(count));
+  std::atomic<bool> failed = false;
+  executor.ParallelFor(count, [&](int64_t i) {
+    if (failed.load(std::memory_order_relaxed)) return;
+    absl::Status& status = statuses[static_cast<size_t>(i)];
+    status = task(i);
+    if (!status.ok()) failed.store(true, std::memory_order_relaxed);
+  });
+  const auto error =
+      std::find_if(statuses.begin(), statuses.end(),
+                   [](const absl::Status& status) { return !status.ok(); });
+  return error == statuses.end() ? absl::OkStatus() : *error;
+}
+
 absl::Status ExecutionContext::CheckStop() const {
   if (stop.stop_requested()) return absl::CancelledError("cancelled");
   return absl::OkStatus();

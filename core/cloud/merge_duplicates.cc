@@ -213,18 +213,46 @@ std::vector<uint32_t> MergeDuplicates(const LatticeCloud& cloud,
       columns.begin(), columns.end(),
       [](const Column* a, const Column* b) { return a->name() < b->name(); });
   std::vector<uint32_t> rows = MortonOrder(cloud.positions, executor);
-  size_t kept = 0;
-  for (size_t i = 0; i < rows.size(); ++i) {
-    if (kept > 0 &&
-        cloud.positions[rows[kept - 1]] == cloud.positions[rows[i]]) {
-      if (CompareAttributes(columns, rows[i], rows[kept - 1]) < 0) {
-        rows[kept - 1] = rows[i];
-      }
-      continue;
+  const auto same_place = [&](size_t i, size_t j) {
+    return cloud.positions[rows[i]] == cloud.positions[rows[j]];
+  };
+  // Parts that begin with a new place each; of its rows, a part keeps those
+  // before `end`.
+  struct Kept {
+    size_t begin = 0;
+    size_t end = 0;
+  };
+  std::vector<Kept> parts(PartCount(rows.size(), kTaskRows));
+  executor.ParallelFor(static_cast<int64_t>(parts.size()), [&](int64_t p) {
+    size_t& begin = parts[static_cast<size_t>(p)].begin;
+    begin = static_cast<size_t>(p) * kTaskRows;
+    while (begin > 0 && begin < rows.size() && same_place(begin - 1, begin)) {
+      ++begin;
     }
-    rows[kept++] = rows[i];
+  });
+  executor.ParallelFor(static_cast<int64_t>(parts.size()), [&](int64_t p) {
+    const auto part = static_cast<size_t>(p);
+    const size_t begin = parts[part].begin;
+    const size_t end =
+        part + 1 < parts.size() ? parts[part + 1].begin : rows.size();
+    size_t kept = begin;
+    for (size_t i = begin; i < end; ++i) {
+      if (kept > begin && same_place(kept - 1, i)) {
+        if (CompareAttributes(columns, rows[i], rows[kept - 1]) < 0) {
+          rows[kept - 1] = rows[i];
+        }
+        continue;
+      }
+      rows[kept++] = rows[i];
+    }
+    parts[part].end = kept;
+  });
+  auto kept = rows.begin();
+  for (const Kept& part : parts) {
+    kept = std::copy(rows.begin() + static_cast<ptrdiff_t>(part.begin),
+                     rows.begin() + static_cast<ptrdiff_t>(part.end), kept);
   }
-  rows.resize(kept);
+  rows.erase(kept, rows.end());
   return rows;
 }
 

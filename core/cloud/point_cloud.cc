@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "core/base/bulk_vector.h"
+
 namespace mapsieve::core {
 
 LatticeCloud LatticeCloud::Select(std::span<const uint32_t> rows) const {
@@ -19,6 +21,8 @@ LatticeCloud Quantize(PointCloud cloud, const Lattice& lattice,
   constexpr size_t kTaskRows = 1 << 16;
   const size_t size = cloud.size();
   LatticeCloud result{.lattice = lattice};
+  result.positions.reserve(size);
+  AdviseHugePages(result.positions.data(), size * sizeof(LatticePoint));
   result.positions.resize(size);
   // Rows that were refused, of each part.
   std::vector<std::vector<uint32_t>> refused_rows(PartCount(size, kTaskRows));

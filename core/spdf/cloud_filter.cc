@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <bit>
+#include <functional>
 #include <map>
 #include <string>
 #include <string_view>
@@ -23,16 +24,28 @@ constexpr int kMaxMemoryTileLevel = 29;
 /// The finest level, at most kMaxMemoryTileLevel, at which the points, in
 /// Morton order, lie in at most kMaxMemoryTiles cells.
 int ChooseTileLevel(std::span<const LatticePoint> positions,
-                    std::span<const uint32_t> rows) {
+                    std::span<const uint32_t> rows, Executor& executor) {
   // How many neighbours in the order part at each level.
-  std::array<int64_t, kMaxCellLevel + 2> parting{};
-  for (size_t i = 1; i < rows.size(); ++i) {
-    const LatticePoint& a = positions[rows[i - 1]];
-    const LatticePoint& b = positions[rows[i]];
-    const auto differing =
-        static_cast<uint64_t>((a.x ^ b.x) | (a.y ^ b.y) | (a.z ^ b.z));
-    const int level = 64 - std::countl_zero(differing);
-    ++parting[static_cast<size_t>(std::min(level, kMaxCellLevel + 1))];
+  using Counts = std::array<int64_t, kMaxCellLevel + 2>;
+  constexpr size_t kTaskRows = 1 << 16;
+  std::vector<Counts> counts(PartCount(rows.size(), kTaskRows));
+  ForEachPart(
+      executor, rows.size(), kTaskRows,
+      [&](size_t part, size_t begin, size_t end) {
+        for (size_t i = std::max(begin, size_t{1}); i < end; ++i) {
+          const LatticePoint& a = positions[rows[i - 1]];
+          const LatticePoint& b = positions[rows[i]];
+          const auto differing =
+              static_cast<uint64_t>((a.x ^ b.x) | (a.y ^ b.y) | (a.z ^ b.z));
+          const int level = 64 - std::countl_zero(differing);
+          ++counts[part]
+                  [static_cast<size_t>(std::min(level, kMaxCellLevel + 1))];
+        }
+      });
+  Counts parting{};
+  for (const Counts& part : counts) {
+    std::transform(part.begin(), part.end(), parting.begin(), parting.begin(),
+                   std::plus<>());
   }
   int64_t cells = 1;
   int level = kMaxCellLevel;
@@ -51,19 +64,22 @@ int ChooseTileLevel(std::span<const LatticePoint> positions,
 class MemoryTileStore final : public TileStore {
  public:
   MemoryTileStore(const LatticeCloud& cloud, std::vector<uint32_t> rows,
-                  FilteredCloud& result)
+                  Executor& executor, FilteredCloud& result)
       : cloud_(cloud), rows_(std::move(rows)), result_(result) {
     // Untouched room costs nothing, growing would copy.
     result_.rows.reserve(rows_.size());
     result_.columns.Reserve(rows_.size());
-    const int level = ChooseTileLevel(cloud.positions, rows_);
-    for (size_t i = 0; i < rows_.size(); ++i) {
-      const CellKey key = CellKey::Of(cloud.positions[rows_[i]], level);
-      if (tiles_.empty() || !(tiles_.back().key == key)) {
-        tiles_.push_back({.key = key});
-        begins_[key] = i;
-      }
-      ++tiles_.back().point_count;
+    const int level = ChooseTileLevel(cloud.positions, rows_, executor);
+    for (auto begin = rows_.begin(); begin != rows_.end();) {
+      const CellKey key = CellKey::Of(cloud.positions[*begin], level);
+      const auto end =
+          std::partition_point(begin, rows_.end(), [&](uint32_t row) {
+            return CellKey::Of(cloud.positions[row], level) == key;
+          });
+      tiles_.push_back({key, end - begin});
+      parts_[key] = {static_cast<size_t>(begin - rows_.begin()),
+                     static_cast<size_t>(end - rows_.begin())};
+      begin = end;
     }
   }
 
@@ -71,12 +87,11 @@ class MemoryTileStore final : public TileStore {
 
   absl::StatusOr<std::vector<LatticePoint>> LoadPoints(
       const CellKey& key) override {
+    const auto [begin, end] = parts_.at(key);
     std::vector<LatticePoint> points;
-    points.reserve(rows_.size() / tiles_.size());
-    for (size_t i = begins_.at(key); i < rows_.size(); ++i) {
-      const LatticePoint& q = cloud_.positions[rows_[i]];
-      if (!(CellKey::Of(q, key.level) == key)) break;
-      points.push_back(q);
+    points.reserve(end - begin);
+    for (size_t i = begin; i < end; ++i) {
+      points.push_back(cloud_.positions[rows_[i]]);
     }
     return points;
   }
@@ -89,11 +104,11 @@ class MemoryTileStore final : public TileStore {
 
   absl::StatusOr<std::vector<std::byte>> LoadState(
       const CellKey& key, TileStateKind kind) override {
-    return states_[kind][key];
+    return states_.at(kind).at(key);
   }
 
   absl::Status Emit(TileResult result) override {
-    const size_t begin = begins_.at(result.key);
+    const size_t begin = parts_.at(result.key).first;
     for (const uint32_t row : result.rows) {
       result_.rows.push_back(rows_[begin + row]);
     }
@@ -105,7 +120,8 @@ class MemoryTileStore final : public TileStore {
   const LatticeCloud& cloud_;
   std::vector<uint32_t> rows_;
   std::vector<TileInfo> tiles_;
-  std::map<CellKey, size_t, CellKeyLess> begins_;
+  /// Each tile's part [first, second) of rows_.
+  std::map<CellKey, std::pair<size_t, size_t>, CellKeyLess> parts_;
   std::map<TileStateKind,
            std::map<CellKey, std::vector<std::byte>, CellKeyLess>>
       states_;
@@ -131,7 +147,7 @@ absl::StatusOr<FilteredCloud> FilterCloud(const LatticeCloud& cloud,
   MAPSIEVE_RETURN_IF_ERROR(options.Validate(cloud.lattice));
   FilteredCloud result;
   MemoryTileStore store(cloud, MergeDuplicates(cloud, *context.executor),
-                        result);
+                        *context.executor, result);
   const TilingOptions tiling = {.max_unit_points =
                                     static_cast<int64_t>(cloud.size())};
   MAPSIEVE_ASSIGN_OR_RETURN(

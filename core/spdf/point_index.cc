@@ -1,6 +1,7 @@
 #include "core/spdf/point_index.h"
 
 #include <algorithm>
+#include <numeric>
 
 #include "core/geometry/morton.h"
 
@@ -46,15 +47,19 @@ void PointIndex::Reserve(size_t size) {
   numbers_.reserve(size);
 }
 
-void PointIndex::Append(std::span<const LatticePoint> points,
-                        uint32_t first_number) {
-  size_t i = numbers_.size();
-  Resize(i + points.size());
+void PointIndex::Grow(size_t count, uint32_t first_number) {
+  const size_t begin = numbers_.size();
+  Resize(begin + count);
+  std::iota(numbers_.begin() + static_cast<ptrdiff_t>(begin), numbers_.end(),
+            first_number);
+}
+
+void PointIndex::Set(size_t begin, std::span<const LatticePoint> points) {
   for (const LatticePoint& point : points) {
-    x_[i] = static_cast<int32_t>(point.x - origin_.x);
-    y_[i] = static_cast<int32_t>(point.y - origin_.y);
-    z_[i] = static_cast<int32_t>(point.z - origin_.z);
-    numbers_[i++] = first_number++;
+    x_[begin] = static_cast<int32_t>(point.x - origin_.x);
+    y_[begin] = static_cast<int32_t>(point.y - origin_.y);
+    z_[begin] = static_cast<int32_t>(point.z - origin_.z);
+    ++begin;
   }
 }
 
@@ -97,6 +102,7 @@ void PointIndex::AppendTree(uint32_t begin, uint32_t end,
 void PointIndex::Build(Executor& executor) {
   const auto size = static_cast<uint32_t>(numbers_.size());
   nodes_.clear();
+  built_size_ = size;
   if (size == 0) return;
   // The upper tree down to parts that are built in parallel.
   constexpr uint32_t kPartSize = 1 << 15;

@@ -48,20 +48,24 @@ class PointIndex {
   explicit PointIndex(const LatticePoint& origin) : origin_(origin) {}
 
   void Reserve(size_t size);
-  /// Adds points, distinct from the others and after them in Morton order;
-  /// coordinates within 2^30 steps of the origin. They are numbered from
-  /// `first_number` on. To be followed by Build.
-  void Append(std::span<const LatticePoint> points, uint32_t first_number);
+  /// Adds `count` points without coordinates, numbered from `first_number` on.
+  void Grow(size_t count, uint32_t first_number);
+  /// Sets points [begin, begin + points.size()): distinct from the others and
+  /// in Morton order, coordinates within 2^30 steps of the origin. Different
+  /// points may be set at once from several threads. To be followed by Build.
+  void Set(size_t begin, std::span<const LatticePoint> points);
+  /// Adds a point after the others in Morton order. To be followed by Build.
   void Append(int32_t x, int32_t y, int32_t z, uint32_t number);
-
-  /// Keeps the points with keep(number); the others go to removed(x, y, z,
-  /// number), coordinates relative to the origin. To be followed by Build if
-  /// it returns true: points were removed.
-  template <typename Keep, typename Removed>
-  bool Filter(const Keep& keep, const Removed& removed);
 
   /// Builds the tree; the same for any executor.
   void Build(Executor& executor);
+
+  /// Keeps the points with keep(number); the others go to removed(x, y, z,
+  /// number), coordinates relative to the origin. The tree is built anew only
+  /// where much was removed: a node may be empty, and its box wider than its
+  /// points ask for. To be preceded by Build.
+  template <typename Keep, typename Removed>
+  void Filter(Executor& executor, const Keep& keep, const Removed& removed);
 
   size_t size() const { return numbers_.size(); }
   const LatticePoint& origin() const { return origin_; }
@@ -98,6 +102,8 @@ class PointIndex {
   void AppendTree(uint32_t begin, uint32_t end, std::vector<Node>& nodes) const;
 
   LatticePoint origin_;
+  /// Points at the last Build.
+  size_t built_size_ = 0;
   // Coordinates hold kKernelPadding values more than there are points.
   BulkVector<int32_t> x_;
   BulkVector<int32_t> y_;
@@ -107,21 +113,30 @@ class PointIndex {
 };
 
 template <typename Keep, typename Removed>
-bool PointIndex::Filter(const Keep& keep, const Removed& removed) {
-  const size_t size = numbers_.size();
-  size_t kept = 0;
-  for (size_t i = 0; i < size; ++i) {
-    if (!keep(numbers_[i])) {
-      removed(x_[i], y_[i], z_[i], numbers_[i]);
-      continue;
+void PointIndex::Filter(Executor& executor, const Keep& keep,
+                        const Removed& removed) {
+  uint32_t kept = 0;
+  for (Node& node : nodes_) {
+    const uint32_t begin = node.begin;
+    node.begin = kept;
+    if (!node.is_leaf()) continue;
+    for (uint32_t i = begin; i < node.end; ++i) {
+      if (!keep(numbers_[i])) {
+        removed(x_[i], y_[i], z_[i], numbers_[i]);
+        continue;
+      }
+      x_[kept] = x_[i];
+      y_[kept] = y_[i];
+      z_[kept] = z_[i];
+      numbers_[kept++] = numbers_[i];
     }
-    x_[kept] = x_[i];
-    y_[kept] = y_[i];
-    z_[kept] = z_[i];
-    numbers_[kept++] = numbers_[i];
+    node.end = kept;
+  }
+  for (auto node = nodes_.rbegin(); node != nodes_.rend(); ++node) {
+    if (!node->is_leaf()) node->end = nodes_[node->right].end;
   }
   Resize(kept);
-  return kept != size;
+  if (kept < built_size_ / 4 * 3) Build(executor);
 }
 
 }  // namespace mapsieve::core

@@ -18,6 +18,9 @@ namespace {
 /// Coordinates of a unit are int32 relative to its first tile's corner.
 constexpr int64_t kMaxUnitExtent = int64_t{1} << 30;
 
+/// Points of tiles that are loaded, or answered for, at a time.
+constexpr int64_t kBatchPointsPerWorker = 1 << 16;
+
 /// One tile's part of a loaded unit.
 struct LoadedTile {
   size_t tile = 0;
@@ -162,32 +165,83 @@ class LockStepFilter {
     }
     work.Reserve(core_points);
     for (const size_t t : wanted) {
-      MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
-      MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> tile_points,
-                                store_.LoadPoints(tiles_[t].key));
-      LoadedTile tile{.tile = t,
-                      .is_core = t >= unit.first && t < unit.second,
-                      .begin = work.size()};
-      if (tile.is_core) {
-        work.Append(tile_points, true);
-      } else {
-        std::vector<LatticePoint> near;
-        for (uint32_t row = 0; row < tile_points.size(); ++row) {
-          for (const size_t core : halo[t]) {
-            if (tiles_[core].key.box().Grown(margin).Contains(
-                    tile_points[row])) {
-              near.push_back(tile_points[row]);
-              tile.rows.push_back(row);
-              break;
-            }
-          }
-        }
-        work.Append(near, false);
-      }
-      tile.end = work.size();
-      loaded.tiles.push_back(std::move(tile));
+      loaded.tiles.push_back(
+          {.tile = t, .is_core = t >= unit.first && t < unit.second});
     }
+    const absl::Status status =
+        ForEachBatch(loaded.tiles, [&](std::span<LoadedTile> batch) {
+          return LoadBatch(halo, margin, batch, work);
+        });
+    if (!status.ok()) return status;
     return loaded;
+  }
+
+  /// Appends the points of `batch` to `work`; of a halo tile, those within
+  /// `margin` steps of the core tiles that `halo` names.
+  absl::Status LoadBatch(
+      const std::unordered_map<size_t, std::vector<size_t>>& halo,
+      int64_t margin, std::span<LoadedTile> batch, WorkUnit& work) {
+    std::vector<std::vector<LatticePoint>> points(batch.size());
+    const auto count = static_cast<int64_t>(batch.size());
+    MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
+        *context_.executor, count, [&](int64_t i) -> absl::Status {
+          const auto b = static_cast<size_t>(i);
+          LoadedTile& tile = batch[b];
+          MAPSIEVE_ASSIGN_OR_RETURN(points[b],
+                                    store_.LoadPoints(tiles_[tile.tile].key));
+          if (!tile.is_core) {
+            tile.rows = KeepNear(halo.at(tile.tile), margin, points[b]);
+          }
+          return absl::OkStatus();
+        }));
+    for (size_t b = 0; b < batch.size(); ++b) {
+      batch[b].begin = work.size();
+      work.Grow(points[b].size(), batch[b].is_core);
+      batch[b].end = work.size();
+    }
+    context_.executor->ParallelFor(count, [&](int64_t i) {
+      const auto b = static_cast<size_t>(i);
+      work.SetPoints(batch[b].begin, points[b]);
+    });
+    return absl::OkStatus();
+  }
+
+  /// Leaves in `points`, those of a halo tile, the ones within `margin` steps
+  /// of any of the tiles `core`, and returns their rows.
+  std::vector<uint32_t> KeepNear(const std::vector<size_t>& core,
+                                 int64_t margin,
+                                 std::vector<LatticePoint>& points) const {
+    std::vector<uint32_t> rows;
+    for (uint32_t row = 0; row < points.size(); ++row) {
+      for (const size_t t : core) {
+        if (tiles_[t].key.box().Grown(margin).Contains(points[row])) {
+          points[rows.size()] = points[row];
+          rows.push_back(row);
+          break;
+        }
+      }
+    }
+    points.resize(rows.size());
+    return rows;
+  }
+
+  /// Calls use(batch) for adjacent `tiles`: enough to keep every worker busy,
+  /// few enough for copies of their points to be small beside a unit.
+  template <typename Use>
+  absl::Status ForEachBatch(std::span<LoadedTile> tiles, const Use& use) const {
+    const int64_t batch_points =
+        kBatchPointsPerWorker * context_.executor->worker_count();
+    size_t begin = 0;
+    int64_t points = 0;
+    for (size_t t = 0; t < tiles.size(); ++t) {
+      points += tiles_[tiles[t].tile].point_count;
+      if (points < batch_points && t + 1 < tiles.size()) continue;
+      MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+      MAPSIEVE_RETURN_IF_ERROR(use(tiles.subspan(begin, t + 1 - begin)));
+      begin = t + 1;
+      points = 0;
+    }
+    return absl::OkStatus();
   }
 
   /// The unit with its halo; the one held in memory if the map is one unit.
@@ -203,27 +257,37 @@ class LockStepFilter {
                           bool with_halo, BulkVector<T>& states) {
     if (IsResident()) return absl::OkStatus();
     states.resize(loaded.unit->size());
-    for (const LoadedTile& tile : loaded.tiles) {
-      if (!tile.is_core && (!with_halo || tile.rows.empty())) continue;
-      MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> bytes,
-                                store_.LoadState(tiles_[tile.tile].key, kind));
-      const size_t count = bytes.size() / sizeof(T);
-      const size_t needed =
-          tile.is_core ? tile.end - tile.begin : size_t{tile.rows.back()} + 1;
-      if (count < needed) {
-        return absl::InternalError(
-            absl::StrCat("state of tile ", tiles_[tile.tile].key.ToString(),
-                         " holds ", count, " points, expected ", needed));
-      }
-      if (tile.is_core) {
-        std::memcpy(states.data() + tile.begin, bytes.data(),
-                    needed * sizeof(T));
-        continue;
-      }
-      for (size_t i = 0; i < tile.rows.size(); ++i) {
-        std::memcpy(&states[tile.begin + i],
-                    bytes.data() + tile.rows[i] * sizeof(T), sizeof(T));
-      }
+    return TryParallelFor(
+        *context_.executor, static_cast<int64_t>(loaded.tiles.size()),
+        [&](int64_t i) {
+          const LoadedTile& tile = loaded.tiles[static_cast<size_t>(i)];
+          if (!tile.is_core && (!with_halo || tile.rows.empty())) {
+            return absl::OkStatus();
+          }
+          return LoadTileStates(tile, kind, states);
+        });
+  }
+
+  template <typename T>
+  absl::Status LoadTileStates(const LoadedTile& tile, TileStateKind kind,
+                              BulkVector<T>& states) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> bytes,
+                              store_.LoadState(tiles_[tile.tile].key, kind));
+    const size_t count = bytes.size() / sizeof(T);
+    const size_t needed =
+        tile.is_core ? tile.end - tile.begin : size_t{tile.rows.back()} + 1;
+    if (count < needed) {
+      return absl::InternalError(
+          absl::StrCat("state of tile ", tiles_[tile.tile].key.ToString(),
+                       " holds ", count, " points, expected ", needed));
+    }
+    if (tile.is_core) {
+      std::memcpy(states.data() + tile.begin, bytes.data(), needed * sizeof(T));
+      return absl::OkStatus();
+    }
+    for (size_t i = 0; i < tile.rows.size(); ++i) {
+      std::memcpy(&states[tile.begin + i],
+                  bytes.data() + tile.rows[i] * sizeof(T), sizeof(T));
     }
     return absl::OkStatus();
   }
@@ -364,35 +428,53 @@ class LockStepFilter {
     return absl::OkStatus();
   }
 
-  absl::Status Emit(const LoadedUnit& loaded,
-                    const WorkUnit::Labeled& labeled) {
-    size_t next = 0;
+  absl::Status Emit(LoadedUnit& loaded, const WorkUnit::Labeled& labeled) {
+    std::vector<LoadedTile> core;
     for (const LoadedTile& tile : loaded.tiles) {
-      if (!tile.is_core) continue;
-      TileResult result{
-          .key = tiles_[tile.tile].key,
-          .point_count = static_cast<int64_t>(tile.end - tile.begin)};
-      while (next < labeled.points.size() &&
-             labeled.points[next] < tile.begin) {
-        ++next;
-      }
-      const size_t first = next;
-      for (; next < labeled.points.size() && labeled.points[next] < tile.end;
-           ++next) {
-        result.rows.push_back(labeled.points[next] -
-                              static_cast<uint32_t>(tile.begin));
-        result.positions.push_back(loaded.unit->SurvivorPosition(next));
-        ++summary_
-              .label_counts[static_cast<size_t>(labeled.columns.label[next])];
-      }
-      result.columns.AppendRange(labeled.columns, first, next);
-      summary_.point_count += result.point_count;
-      summary_.survivor_count += static_cast<int64_t>(result.rows.size());
-      summary_.max_confidence =
-          UpdateMaxConfidence(result.columns, summary_.max_confidence);
-      MAPSIEVE_RETURN_IF_ERROR(store_.Emit(std::move(result)));
+      if (tile.is_core) core.push_back(tile);
     }
-    return absl::OkStatus();
+    return ForEachBatch(core, [&](std::span<LoadedTile> batch) -> absl::Status {
+      std::vector<TileResult> results(batch.size());
+      context_.executor->ParallelFor(
+          static_cast<int64_t>(batch.size()), [&](int64_t i) {
+            const auto b = static_cast<size_t>(i);
+            results[b] = ResultOf(*loaded.unit, batch[b], labeled);
+          });
+      for (TileResult& result : results) {
+        summary_.point_count += result.point_count;
+        summary_.survivor_count += static_cast<int64_t>(result.rows.size());
+        for (const Label label : result.columns.label) {
+          ++summary_.label_counts[static_cast<size_t>(label)];
+        }
+        summary_.max_confidence =
+            UpdateMaxConfidence(result.columns, summary_.max_confidence);
+        MAPSIEVE_RETURN_IF_ERROR(store_.Emit(std::move(result)));
+      }
+      return absl::OkStatus();
+    });
+  }
+
+  TileResult ResultOf(const WorkUnit& unit, const LoadedTile& tile,
+                      const WorkUnit::Labeled& labeled) const {
+    TileResult result{
+        .key = tiles_[tile.tile].key,
+        .point_count = static_cast<int64_t>(tile.end - tile.begin)};
+    const auto at = [&](size_t point) {
+      return std::lower_bound(labeled.points.begin(), labeled.points.end(),
+                              point) -
+             labeled.points.begin();
+    };
+    const auto first = static_cast<size_t>(at(tile.begin));
+    const auto last = static_cast<size_t>(at(tile.end));
+    result.rows.reserve(last - first);
+    result.positions.reserve(last - first);
+    for (size_t i = first; i < last; ++i) {
+      result.rows.push_back(labeled.points[i] -
+                            static_cast<uint32_t>(tile.begin));
+      result.positions.push_back(unit.SurvivorPosition(i));
+    }
+    result.columns.AppendRange(labeled.columns, first, last);
+    return result;
   }
 
   TileStore& store_;

@@ -36,7 +36,8 @@ struct TileResult {
 };
 
 /// Where the filter finds the tiles of a map and puts what it makes of them.
-/// Called from one thread.
+/// LoadPoints and LoadState are called from several threads at once, the others
+/// from one.
 class TileStore {
  public:
   virtual ~TileStore() = default;
@@ -56,7 +57,7 @@ class TileStore {
   virtual absl::StatusOr<std::vector<std::byte>> LoadState(
       const CellKey& key, TileStateKind kind) = 0;
 
-  /// Takes the answer for a tile; called once for every tile.
+  /// Takes the answer for a tile; called once for every tile, in their order.
   virtual absl::Status Emit(TileResult result) = 0;
 };
 

@@ -90,23 +90,23 @@ void WorkUnit::Reserve(size_t size) {
   deaths_.reserve(size);
 }
 
-void WorkUnit::Append(std::span<const LatticePoint> points, bool is_core) {
-  index_.Append(points, static_cast<uint32_t>(deaths_.size()));
-  is_core_.resize(is_core_.size() + points.size(), is_core ? 1 : 0);
-  deaths_.resize(deaths_.size() + points.size(), kAlive);
+void WorkUnit::Grow(size_t count, bool is_core) {
+  index_.Grow(count, static_cast<uint32_t>(deaths_.size()));
+  is_core_.resize(is_core_.size() + count, is_core ? 1 : 0);
+  deaths_.resize(deaths_.size() + count, kAlive);
 }
 
 void WorkUnit::IndexSurvivors(int round, const ExecutionContext& context) {
   if (indexed_round_ == round) return;
+  Executor& executor = *context.executor;
+  if (indexed_round_ < 0) index_.Build(executor);
   dead_ = PointIndex(index_.origin());
-  const bool removed =
-      index_.Filter([&](uint32_t number) { return deaths_[number] > round; },
-                    [&](int32_t x, int32_t y, int32_t z, uint32_t number) {
-                      if (deaths_[number] == round)
-                        dead_.Append(x, y, z, number);
-                    });
-  if (removed || indexed_round_ < 0) index_.Build(*context.executor);
-  dead_.Build(*context.executor);
+  index_.Filter(
+      executor, [&](uint32_t number) { return deaths_[number] > round; },
+      [&](int32_t x, int32_t y, int32_t z, uint32_t number) {
+        if (deaths_[number] == round) dead_.Append(x, y, z, number);
+      });
+  dead_.Build(executor);
   indexed_round_ = round;
 }
 

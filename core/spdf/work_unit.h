@@ -51,8 +51,14 @@ class WorkUnit {
            const SpdfConstants& constants);
 
   void Reserve(size_t size);
-  /// Adds points, distinct from the others and after them in Morton order.
-  void Append(std::span<const LatticePoint> points, bool is_core);
+  /// Adds `count` points of the core or of the halo, to be set before a step.
+  void Grow(size_t count, bool is_core);
+  /// Sets points [begin, begin + points.size()): all of a unit are distinct
+  /// and in Morton order. Different points may be set at once from several
+  /// threads.
+  void SetPoints(size_t begin, std::span<const LatticePoint> points) {
+    index_.Set(begin, points);
+  }
 
   size_t size() const { return deaths_.size(); }
 
