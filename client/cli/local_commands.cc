@@ -50,25 +50,22 @@ struct Sample {
   std::optional<FilterReport> report;
 };
 
-/// Keeps `rows` of `filtered` that the budget chooses, with centroids in place
+/// Keeps those of `filtered` that the budget chooses, with centroids in place
 /// of the points if they are asked for.
-absl::StatusOr<core::LatticeCloud> UnderBudget(const core::LatticeCloud& cloud,
-                                               std::vector<uint32_t> rows,
-                                               core::LabelColumns columns,
-                                               const SampleCommand& command) {
+absl::StatusOr<core::LatticeCloud> UnderBudget(
+    const core::LatticeCloud& cloud, const core::FilteredCloud& filtered,
+    const SampleCommand& command) {
   std::vector<core::LatticePoint> positions;
-  for (const uint32_t row : rows) positions.push_back(cloud.positions[row]);
+  for (const uint32_t row : filtered.rows)
+    positions.push_back(cloud.positions[row]);
   MAPSIEVE_ASSIGN_OR_RETURN(
       const core::BudgetSample sample,
-      core::SampleUnderBudget(positions, columns.label, command.max_points));
+      core::SampleUnderBudget(positions, filtered.columns.label,
+                              command.max_points));
   std::vector<uint32_t> kept_rows;
-  core::LabelColumns kept_columns;
-  for (const uint32_t i : sample.rows) {
-    kept_rows.push_back(rows[i]);
-    kept_columns.Append(columns, i);
-  }
-  core::LatticeCloud kept =
-      core::MakeLabeledCloud(cloud, kept_rows, kept_columns);
+  for (const uint32_t i : sample.rows) kept_rows.push_back(filtered.rows[i]);
+  core::LatticeCloud kept = core::MakeLabeledCloud(
+      cloud, kept_rows, filtered.columns.Select(sample.rows));
   if (command.centroids) {
     for (size_t i = 0; i < kept.size(); ++i) {
       kept.positions[i] = {std::llrint(sample.centroids[i].x),
@@ -108,18 +105,12 @@ absl::StatusOr<Sample> TakeSample(core::PointCloud input,
   }
   const double filter_alone_s = filter_alone.Lap();
   sample.after_rounds = filtered.summary.survivor_count;
-  std::vector<uint32_t> rows;
-  core::LabelColumns columns;
-  for (const uint32_t i : filtered.Inliers(command.options.outlier_share)) {
-    rows.push_back(filtered.rows[i]);
-    columns.Append(filtered.columns, i);
-  }
+  const core::FilteredCloud kept =
+      filtered.WithoutOutliers(command.options.outlier_share);
   if (command.method == "spatial-spdf") {
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        sample.cloud,
-        UnderBudget(cloud, std::move(rows), std::move(columns), command));
+    MAPSIEVE_ASSIGN_OR_RETURN(sample.cloud, UnderBudget(cloud, kept, command));
   } else {
-    sample.cloud = core::MakeLabeledCloud(cloud, rows, columns);
+    sample.cloud = core::MakeLabeledCloud(cloud, kept.rows, kept.columns);
   }
   const core::Column& labels = *sample.cloud.attributes.Find("label");
   for (size_t i = 0; i < labels.size(); ++i) {

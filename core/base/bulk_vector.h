@@ -35,8 +35,8 @@ inline void AdviseHugePages(void* block, size_t bytes) {
 #endif
 }
 
-/// Allocates like std::allocator, but with huge pages for what is as large as
-/// several of them.
+/// Allocates like std::allocator, but with huge pages for what fills half of
+/// one.
 template <typename T>
 class BulkAllocator {
  public:
@@ -51,9 +51,8 @@ class BulkAllocator {
       return std::allocator<T>().allocate(count);
     }
     if (count > static_cast<size_t>(-1) / 2 / sizeof(T)) throw std::bad_alloc();
-    const size_t bytes =
-        (count * sizeof(T) + kHugePageBytes - 1) / kHugePageBytes *
-        kHugePageBytes;
+    const size_t bytes = (count * sizeof(T) + kHugePageBytes - 1) /
+                         kHugePageBytes * kHugePageBytes;
     void* block = std::aligned_alloc(kHugePageBytes, bytes);
     if (block == nullptr) throw std::bad_alloc();
     AdviseHugePages(block, bytes);
@@ -84,13 +83,20 @@ class BulkAllocator {
   }
 
  private:
-  static constexpr size_t kBulkBytes = 2 * kHugePageBytes;
+  static constexpr size_t kBulkBytes = kHugePageBytes / 2;
 };
 
 /// A vector for arrays of millions of elements. resize leaves new elements of a
 /// trivial type without a value.
 template <typename T>
 using BulkVector = std::vector<T, BulkAllocator<T>>;
+
+/// reserve for a vector that will be filled, whatever its allocator.
+template <typename Vector>
+void ReserveBulk(Vector& vector, size_t size) {
+  vector.reserve(size);
+  AdviseHugePages(vector.data(), size * sizeof(typename Vector::value_type));
+}
 
 }  // namespace mapsieve
 

@@ -37,8 +37,8 @@ Executor& InlineExecutor();
 /// one of them). One ParallelFor runs at a time; others wait. Thread-safe.
 std::unique_ptr<Executor> MakeWorkerPool(int worker_count);
 
-/// ParallelFor for tasks that can fail. Returns the error of the smallest i that
-/// has one; tasks that have not begun when one fails may be left out.
+/// ParallelFor for tasks that can fail. Returns the error of the smallest i
+/// that has one; tasks that have not begun when one fails may be left out.
 absl::Status TryParallelFor(Executor& executor, int64_t count,
                             const std::function<absl::Status(int64_t)>& task);
 

@@ -171,23 +171,25 @@ std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
           differing_of[part] |= rows[i].code ^ first;
         }
       });
-  std::vector<size_t> starts;
-  if (cells.size() > 1) {
-    const auto cell_of = [&](const CodedRow& r) {
-      const CellKey cell = CellKey::Of(positions[r.row], kMaxTileLevel);
-      return static_cast<size_t>(
-          std::lower_bound(cells.begin(), cells.end(), cell, CellKeyLess()) -
-          cells.begin());
-    };
-    starts = Partition(executor, rows, cells.size(), cell_of, sorted);
-  } else {
-    uint64_t differing = 0;
-    for (const uint64_t d : differing_of) differing |= d;
-    const Digit digit = UpperDigit(differing, 11);
-    starts = Partition(
-        executor, rows, size_t{1} << digit.bits,
-        [&](const CodedRow& r) { return digit.Of(r.code); }, sorted);
-  }
+  uint64_t differing = 0;
+  for (const uint64_t d : differing_of) differing |= d;
+  // Some 2000 buckets: of cells, and within a cell by the uppermost bits.
+  const Digit digit = UpperDigit(
+      differing,
+      std::max(11 - static_cast<int>(std::bit_width(cells.size())), 0));
+  const auto cell_of = [&](const CodedRow& r) {
+    if (cells.size() == 1) return size_t{0};
+    const CellKey cell = CellKey::Of(positions[r.row], kMaxTileLevel);
+    return static_cast<size_t>(
+        std::lower_bound(cells.begin(), cells.end(), cell, CellKeyLess()) -
+        cells.begin());
+  };
+  const std::vector<size_t> starts = Partition(
+      executor, rows, cells.size() << digit.bits,
+      [&](const CodedRow& r) {
+        return cell_of(r) << digit.bits | digit.Of(r.code);
+      },
+      sorted);
   executor.ParallelFor(static_cast<int64_t>(starts.size()) - 1, [&](int64_t b) {
     const auto bucket = static_cast<size_t>(b);
     const size_t count = starts[bucket + 1] - starts[bucket];
@@ -195,7 +197,9 @@ std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
              std::span(rows).subspan(starts[bucket], count));
   });
   rows = BulkVector<CodedRow>();
-  std::vector<uint32_t> order(positions.size());
+  std::vector<uint32_t> order;
+  ReserveBulk(order, positions.size());
+  order.resize(positions.size());
   ForEachPart(executor, positions.size(), kTaskRows,
               [&](size_t, size_t begin, size_t end) {
                 for (size_t i = begin; i < end; ++i) order[i] = sorted[i].row;

@@ -21,8 +21,7 @@ LatticeCloud Quantize(PointCloud cloud, const Lattice& lattice,
   constexpr size_t kTaskRows = 1 << 16;
   const size_t size = cloud.size();
   LatticeCloud result{.lattice = lattice};
-  result.positions.reserve(size);
-  AdviseHugePages(result.positions.data(), size * sizeof(LatticePoint));
+  ReserveBulk(result.positions, size);
   result.positions.resize(size);
   // Rows that were refused, of each part.
   std::vector<std::vector<uint32_t>> refused_rows(PartCount(size, kTaskRows));

@@ -19,7 +19,7 @@ namespace {
 /// then small beside the cloud.
 constexpr int64_t kMaxMemoryTiles = 1024;
 /// Eight such tiles around the origin, or along a border, are still one unit.
-constexpr int kMaxMemoryTileLevel = 29;
+constexpr int kMaxMemoryTileLevel = 28;
 
 /// The finest level, at most kMaxMemoryTileLevel, at which the points, in
 /// Morton order, lie in at most kMaxMemoryTiles cells.
@@ -67,7 +67,7 @@ class MemoryTileStore final : public TileStore {
                   Executor& executor, FilteredCloud& result)
       : cloud_(cloud), rows_(std::move(rows)), result_(result) {
     // Untouched room costs nothing, growing would copy.
-    result_.rows.reserve(rows_.size());
+    ReserveBulk(result_.rows, rows_.size());
     result_.columns.Reserve(rows_.size());
     const int level = ChooseTileLevel(cloud.positions, rows_, executor);
     for (auto begin = rows_.begin(); begin != rows_.end();) {
@@ -85,15 +85,13 @@ class MemoryTileStore final : public TileStore {
 
   std::vector<TileInfo> Tiles() const override { return tiles_; }
 
-  absl::StatusOr<std::vector<LatticePoint>> LoadPoints(
-      const CellKey& key) override {
+  absl::StatusOr<int64_t> LoadPoints(const CellKey& key,
+                                     std::span<LatticePoint> room) override {
     const auto [begin, end] = parts_.at(key);
-    std::vector<LatticePoint> points;
-    points.reserve(end - begin);
     for (size_t i = begin; i < end; ++i) {
-      points.push_back(cloud_.positions[rows_[i]]);
+      room[i - begin] = cloud_.positions[rows_[i]];
     }
-    return points;
+    return static_cast<int64_t>(end - begin);
   }
 
   absl::Status StoreState(const CellKey& key, TileStateKind kind,
@@ -107,12 +105,12 @@ class MemoryTileStore final : public TileStore {
     return states_.at(kind).at(key);
   }
 
-  absl::Status Emit(TileResult result) override {
+  absl::Status Emit(const TileResult& result) override {
     const size_t begin = parts_.at(result.key).first;
     for (const uint32_t row : result.rows) {
       result_.rows.push_back(rows_[begin + row]);
     }
-    result_.columns.AppendRange(result.columns, 0, result.columns.size());
+    result_.columns.Append(result.columns);
     return absl::OkStatus();
   }
 
@@ -139,6 +137,14 @@ std::vector<uint32_t> FilteredCloud::Inliers(double outlier_share) const {
     }
   }
   return inliers;
+}
+
+FilteredCloud FilteredCloud::WithoutOutliers(double outlier_share) const {
+  const std::vector<uint32_t> inliers = Inliers(outlier_share);
+  FilteredCloud kept{.columns = columns.Select(inliers), .summary = summary};
+  kept.rows.reserve(inliers.size());
+  for (const uint32_t i : inliers) kept.rows.push_back(rows[i]);
+  return kept;
 }
 
 absl::StatusOr<FilteredCloud> FilterCloud(const LatticeCloud& cloud,

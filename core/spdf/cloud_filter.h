@@ -28,6 +28,8 @@ struct FilteredCloud {
 
   /// Numbers (into `rows`) of the points that are no outliers.
   std::vector<uint32_t> Inliers(double outlier_share) const;
+  /// The same without the outliers; `summary` stays that of the filter.
+  FilteredCloud WithoutOutliers(double outlier_share) const;
 };
 
 /// FilterTiles over one tile that holds the whole of `cloud`.

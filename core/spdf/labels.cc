@@ -21,17 +21,30 @@ void LabelColumns::Resize(size_t size) {
   tangent.resize(size);
 }
 
-void LabelColumns::AppendRange(const LabelColumns& other, size_t begin,
-                               size_t end) {
-  const auto append = [begin, end](auto& column, const auto& from) {
-    column.insert(column.end(), from.begin() + static_cast<ptrdiff_t>(begin),
-                  from.begin() + static_cast<ptrdiff_t>(end));
+void LabelColumns::Append(const LabelSpans& part) {
+  const auto append = [](auto& column, const auto& from) {
+    column.insert(column.end(), from.begin(), from.end());
   };
-  append(label, other.label);
-  append(confidence, other.confidence);
-  append(lambda, other.lambda);
-  append(normal, other.normal);
-  append(tangent, other.tangent);
+  append(label, part.label);
+  append(confidence, part.confidence);
+  append(lambda, part.lambda);
+  append(normal, part.normal);
+  append(tangent, part.tangent);
+}
+
+LabelColumns LabelColumns::Select(std::span<const uint32_t> rows) const {
+  LabelColumns selected;
+  selected.Reserve(rows.size());
+  for (const uint32_t row : rows) selected.Append(Slice(row, row + 1));
+  return selected;
+}
+
+LabelSpans LabelColumns::Slice(size_t begin, size_t end) const {
+  const auto slice = [&](const auto& column) {
+    return std::span(column).subspan(begin, end - begin);
+  };
+  return {slice(label), slice(confidence), slice(lambda), slice(normal),
+          slice(tangent)};
 }
 
 OutlierTest::OutlierTest(const MaxConfidence& max_confidence,
@@ -42,7 +55,7 @@ OutlierTest::OutlierTest(const MaxConfidence& max_confidence,
   }
 }
 
-MaxConfidence UpdateMaxConfidence(const LabelColumns& columns,
+MaxConfidence UpdateMaxConfidence(const LabelSpans& columns,
                                   MaxConfidence so_far) {
   for (size_t i = 0; i < columns.size(); ++i) {
     uint16_t& largest = so_far[static_cast<size_t>(columns.label[i])];

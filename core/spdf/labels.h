@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <span>
 
 #include "core/base/bulk_vector.h"
 #include "core/cloud/label.h"
@@ -12,6 +13,17 @@ namespace mapsieve::core {
 
 /// Largest confidence of each label in a map.
 using MaxConfidence = std::array<uint16_t, kLabelCount>;
+
+/// A part of LabelColumns; valid as long as they are.
+struct LabelSpans {
+  std::span<const Label> label;
+  std::span<const uint16_t> confidence;
+  std::span<const std::array<float, 3>> lambda;
+  std::span<const OctahedralVector> normal;
+  std::span<const OctahedralVector> tangent;
+
+  size_t size() const { return label.size(); }
+};
 
 /// What the filter says of points, one entry a point in every column.
 struct LabelColumns {
@@ -31,10 +43,12 @@ struct LabelColumns {
   void Reserve(size_t size);
   /// New entries have no value yet.
   void Resize(size_t size);
-  void Append(const LabelColumns& other, size_t i) {
-    AppendRange(other, i, i + 1);
-  }
-  void AppendRange(const LabelColumns& other, size_t begin, size_t end);
+  void Append(const LabelSpans& part);
+  /// The entries at `rows`, in that order.
+  LabelColumns Select(std::span<const uint32_t> rows) const;
+  /// Entries [begin, end).
+  LabelSpans Slice(size_t begin, size_t end) const;
+  LabelSpans All() const { return Slice(0, size()); }
 
   friend bool operator==(const LabelColumns&, const LabelColumns&) = default;
 };
@@ -55,7 +69,7 @@ class OutlierTest {
 };
 
 /// Largest confidences of `columns`, and of `so_far`.
-MaxConfidence UpdateMaxConfidence(const LabelColumns& columns,
+MaxConfidence UpdateMaxConfidence(const LabelSpans& columns,
                                   MaxConfidence so_far = {});
 
 }  // namespace mapsieve::core

@@ -72,6 +72,17 @@ void PointIndex::Append(int32_t x, int32_t y, int32_t z, uint32_t number) {
   numbers_[i] = number;
 }
 
+void PointIndex::Remove(uint32_t i) {
+  x_[i] = kNowhere;
+  uint32_t n = 0;
+  while (true) {
+    Node& node = nodes_[n];
+    ++node.removed;
+    if (node.is_leaf()) return;
+    n = i < nodes_[node.right].begin ? n + 1 : node.right;
+  }
+}
+
 uint32_t PointIndex::Split(uint32_t begin, uint32_t end) const {
   return MortonSplit(begin, end, [this](uint32_t i) { return Position(i); });
 }

@@ -41,9 +41,15 @@ class PointIndex {
     /// The left child follows its parent; 0 for a leaf.
     uint32_t right = 0;
 
-    uint32_t size() const { return end - begin; }
+    /// How many of them were removed.
+    uint32_t removed = 0;
+
+    uint32_t size() const { return end - begin - removed; }
     bool is_leaf() const { return right == 0; }
   };
+
+  /// Coordinates are at most so far from the origin.
+  static constexpr int32_t kMaxCoordinate = 1 << 29;
 
   explicit PointIndex(const LatticePoint& origin) : origin_(origin) {}
 
@@ -51,7 +57,7 @@ class PointIndex {
   /// Adds `count` points without coordinates, numbered from `first_number` on.
   void Grow(size_t count, uint32_t first_number);
   /// Sets points [begin, begin + points.size()): distinct from the others and
-  /// in Morton order, coordinates within 2^30 steps of the origin. Different
+  /// in Morton order, coordinates up to kMaxCoordinate. Different
   /// points may be set at once from several threads. To be followed by Build.
   void Set(size_t begin, std::span<const LatticePoint> points);
   /// Adds a point after the others in Morton order. To be followed by Build.
@@ -60,13 +66,21 @@ class PointIndex {
   /// Builds the tree; the same for any executor.
   void Build(Executor& executor);
 
-  /// Keeps the points with keep(number); the others go to removed(x, y, z,
-  /// number), coordinates relative to the origin. The tree is built anew only
-  /// where much was removed: a node may be empty, and its box wider than its
-  /// points ask for. To be preceded by Build.
+  /// Makes a point one that no gathering finds and no node counts; its place
+  /// stays until the next Filter.
+  void Remove(uint32_t i);
+  size_t removed_count() const {
+    return nodes_.empty() ? 0 : nodes_[0].removed;
+  }
+
+  /// Keeps the points with keep(number); the others, but not those that were
+  /// removed before, go to removed(x, y, z, number), coordinates relative to
+  /// the origin. The tree is built anew only when much is gone: a node may be
+  /// empty, and its box wider than its points ask for. To be preceded by Build.
   template <typename Keep, typename Removed>
   void Filter(Executor& executor, const Keep& keep, const Removed& removed);
 
+  /// Places of points, removed ones included.
   size_t size() const { return numbers_.size(); }
   const LatticePoint& origin() const { return origin_; }
   /// The caller's number of each point.
@@ -95,6 +109,10 @@ class PointIndex {
                   std::vector<Range>& ranges) const;
 
  private:
+  /// x of a removed point: farther from any other than a block reaches, with
+  /// differences that fit int32.
+  static constexpr int32_t kNowhere = 5 * (kMaxCoordinate / 2);
+
   void Resize(size_t size);
   uint32_t Split(uint32_t begin, uint32_t end) const;
   IndexBox BoxOf(uint32_t begin, uint32_t end) const;
@@ -109,7 +127,7 @@ class PointIndex {
   BulkVector<int32_t> y_;
   BulkVector<int32_t> z_;
   BulkVector<uint32_t> numbers_;
-  std::vector<Node> nodes_;
+  BulkVector<Node> nodes_;
 };
 
 template <typename Keep, typename Removed>
@@ -119,8 +137,10 @@ void PointIndex::Filter(Executor& executor, const Keep& keep,
   for (Node& node : nodes_) {
     const uint32_t begin = node.begin;
     node.begin = kept;
+    node.removed = 0;
     if (!node.is_leaf()) continue;
     for (uint32_t i = begin; i < node.end; ++i) {
+      if (x_[i] == kNowhere) continue;
       if (!keep(numbers_[i])) {
         removed(x_[i], y_[i], z_[i], numbers_[i]);
         continue;

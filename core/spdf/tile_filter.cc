@@ -16,7 +16,7 @@ namespace mapsieve::core {
 namespace {
 
 /// Coordinates of a unit are int32 relative to its first tile's corner.
-constexpr int64_t kMaxUnitExtent = int64_t{1} << 30;
+constexpr int64_t kMaxUnitExtent = PointIndex::kMaxCoordinate;
 
 /// Points of tiles that are loaded, or answered for, at a time.
 constexpr int64_t kBatchPointsPerWorker = 1 << 16;
@@ -181,14 +181,28 @@ class LockStepFilter {
   absl::Status LoadBatch(
       const std::unordered_map<size_t, std::vector<size_t>>& halo,
       int64_t margin, std::span<LoadedTile> batch, WorkUnit& work) {
-    std::vector<std::vector<LatticePoint>> points(batch.size());
+    size_t room = 0;
+    std::vector<std::span<LatticePoint>> points;
+    for (const LoadedTile& tile : batch) {
+      const auto count = static_cast<size_t>(tiles_[tile.tile].point_count);
+      points.push_back({static_cast<LatticePoint*>(nullptr), count});
+      room += count;
+    }
+    batch_points_.resize(std::max(batch_points_.size(), room));
+    room = 0;
+    for (std::span<LatticePoint>& part : points) {
+      part = std::span(batch_points_).subspan(room, part.size());
+      room += part.size();
+    }
     const auto count = static_cast<int64_t>(batch.size());
     MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
         *context_.executor, count, [&](int64_t i) -> absl::Status {
           const auto b = static_cast<size_t>(i);
           LoadedTile& tile = batch[b];
-          MAPSIEVE_ASSIGN_OR_RETURN(points[b],
-                                    store_.LoadPoints(tiles_[tile.tile].key));
+          MAPSIEVE_ASSIGN_OR_RETURN(
+              const int64_t size,
+              store_.LoadPoints(tiles_[tile.tile].key, points[b]));
+          points[b] = points[b].first(static_cast<size_t>(size));
           if (!tile.is_core) {
             tile.rows = KeepNear(halo.at(tile.tile), margin, points[b]);
           }
@@ -210,7 +224,7 @@ class LockStepFilter {
   /// of any of the tiles `core`, and returns their rows.
   std::vector<uint32_t> KeepNear(const std::vector<size_t>& core,
                                  int64_t margin,
-                                 std::vector<LatticePoint>& points) const {
+                                 std::span<LatticePoint>& points) const {
     std::vector<uint32_t> rows;
     for (uint32_t row = 0; row < points.size(); ++row) {
       for (const size_t t : core) {
@@ -221,7 +235,7 @@ class LockStepFilter {
         }
       }
     }
-    points.resize(rows.size());
+    points = points.first(rows.size());
     return rows;
   }
 
@@ -433,48 +447,54 @@ class LockStepFilter {
     for (const LoadedTile& tile : loaded.tiles) {
       if (tile.is_core) core.push_back(tile);
     }
-    return ForEachBatch(core, [&](std::span<LoadedTile> batch) -> absl::Status {
-      std::vector<TileResult> results(batch.size());
-      context_.executor->ParallelFor(
-          static_cast<int64_t>(batch.size()), [&](int64_t i) {
-            const auto b = static_cast<size_t>(i);
-            results[b] = ResultOf(*loaded.unit, batch[b], labeled);
-          });
-      for (TileResult& result : results) {
-        summary_.point_count += result.point_count;
-        summary_.survivor_count += static_cast<int64_t>(result.rows.size());
-        for (const Label label : result.columns.label) {
-          ++summary_.label_counts[static_cast<size_t>(label)];
-        }
-        summary_.max_confidence =
-            UpdateMaxConfidence(result.columns, summary_.max_confidence);
-        MAPSIEVE_RETURN_IF_ERROR(store_.Emit(std::move(result)));
-      }
-      return absl::OkStatus();
+    return ForEachBatch(core, [&](std::span<LoadedTile> batch) {
+      return EmitBatch(*loaded.unit, batch, labeled);
     });
   }
 
-  TileResult ResultOf(const WorkUnit& unit, const LoadedTile& tile,
-                      const WorkUnit::Labeled& labeled) const {
-    TileResult result{
-        .key = tiles_[tile.tile].key,
-        .point_count = static_cast<int64_t>(tile.end - tile.begin)};
-    const auto at = [&](size_t point) {
-      return std::lower_bound(labeled.points.begin(), labeled.points.end(),
-                              point) -
-             labeled.points.begin();
+  absl::Status EmitBatch(const WorkUnit& unit,
+                         std::span<const LoadedTile> tiles,
+                         const WorkUnit::Labeled& labeled) {
+    const auto survivor_at = [&](size_t point) {
+      return static_cast<size_t>(std::lower_bound(labeled.points.begin(),
+                                                  labeled.points.end(), point) -
+                                 labeled.points.begin());
     };
-    const auto first = static_cast<size_t>(at(tile.begin));
-    const auto last = static_cast<size_t>(at(tile.end));
-    result.rows.reserve(last - first);
-    result.positions.reserve(last - first);
-    for (size_t i = first; i < last; ++i) {
-      result.rows.push_back(labeled.points[i] -
-                            static_cast<uint32_t>(tile.begin));
-      result.positions.push_back(unit.SurvivorPosition(i));
+    const size_t first = survivor_at(tiles.front().begin);
+    const size_t size = survivor_at(tiles.back().end) - first;
+    batch_rows_.resize(std::max(batch_rows_.size(), size));
+    batch_points_.resize(std::max(batch_points_.size(), size));
+    std::vector<TileResult> results(tiles.size());
+    context_.executor->ParallelFor(
+        static_cast<int64_t>(tiles.size()), [&](int64_t t) {
+          const LoadedTile& tile = tiles[static_cast<size_t>(t)];
+          const size_t begin = survivor_at(tile.begin);
+          const size_t end = survivor_at(tile.end);
+          for (size_t i = begin; i < end; ++i) {
+            batch_rows_[i - first] =
+                labeled.points[i] - static_cast<uint32_t>(tile.begin);
+            batch_points_[i - first] = unit.SurvivorPosition(i);
+          }
+          results[static_cast<size_t>(t)] = {
+              .key = tiles_[tile.tile].key,
+              .point_count = static_cast<int64_t>(tile.end - tile.begin),
+              .rows =
+                  std::span(batch_rows_).subspan(begin - first, end - begin),
+              .positions =
+                  std::span(batch_points_).subspan(begin - first, end - begin),
+              .columns = labeled.columns.Slice(begin, end)};
+        });
+    for (const TileResult& result : results) {
+      summary_.point_count += result.point_count;
+      summary_.survivor_count += static_cast<int64_t>(result.rows.size());
+      for (const Label label : result.columns.label) {
+        ++summary_.label_counts[static_cast<size_t>(label)];
+      }
+      summary_.max_confidence =
+          UpdateMaxConfidence(result.columns, summary_.max_confidence);
+      MAPSIEVE_RETURN_IF_ERROR(store_.Emit(result));
     }
-    result.columns.AppendRange(labeled.columns, first, last);
-    return result;
+    return absl::OkStatus();
   }
 
   TileStore& store_;
@@ -485,6 +505,9 @@ class LockStepFilter {
   std::unordered_map<CellKey, size_t, CellKeyHash> tile_numbers_;
   std::vector<Unit> units_;
   LoadedUnit visited_;
+  /// Of a batch of tiles; kept from batch to batch, since fresh memory is dear.
+  BulkVector<LatticePoint> batch_points_;
+  BulkVector<uint32_t> batch_rows_;
   SpdfSummary summary_;
   int64_t done_visits_ = 0;
   int64_t total_visits_ = 0;

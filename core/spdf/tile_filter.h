@@ -24,15 +24,15 @@ struct TileInfo {
 enum class TileStateKind : uint8_t { kDeaths = 1, kRounds = 2, kVoters = 3 };
 
 /// The filter's answer for one tile: the survivors of the rounds, outliers
-/// included, in Morton order.
+/// included, in Morton order. Valid during the call that receives it.
 struct TileResult {
   CellKey key;
   /// Distinct points of the tile.
   int64_t point_count = 0;
   /// Rows of the survivors among the tile's distinct points, ascending.
-  std::vector<uint32_t> rows;
-  std::vector<LatticePoint> positions;
-  LabelColumns columns;
+  std::span<const uint32_t> rows;
+  std::span<const LatticePoint> positions;
+  LabelSpans columns;
 };
 
 /// Where the filter finds the tiles of a map and puts what it makes of them.
@@ -45,9 +45,11 @@ class TileStore {
   /// Every tile that holds points; all of one level, in Morton order.
   virtual std::vector<TileInfo> Tiles() const = 0;
 
-  /// The distinct points of a tile in Morton order; the same at each call.
-  virtual absl::StatusOr<std::vector<LatticePoint>> LoadPoints(
-      const CellKey& key) = 0;
+  /// Writes the distinct points of a tile in Morton order, the same at each
+  /// call, to `room`, which is as large as the tile's point_count. Returns how
+  /// many they are.
+  virtual absl::StatusOr<int64_t> LoadPoints(const CellKey& key,
+                                             std::span<LatticePoint> room) = 0;
 
   /// Keeps bytes of the filter for a tile until the next StoreState of the
   /// same kind or the end of the run.
@@ -58,7 +60,7 @@ class TileStore {
       const CellKey& key, TileStateKind kind) = 0;
 
   /// Takes the answer for a tile; called once for every tile, in their order.
-  virtual absl::Status Emit(TileResult result) = 0;
+  virtual absl::Status Emit(const TileResult& result) = 0;
 };
 
 struct TilingOptions {

@@ -99,15 +99,41 @@ void WorkUnit::Grow(size_t count, bool is_core) {
 void WorkUnit::IndexSurvivors(int round, const ExecutionContext& context) {
   if (indexed_round_ == round) return;
   Executor& executor = *context.executor;
+  const bool is_next_round = round == indexed_round_ + 1;
   if (indexed_round_ < 0) index_.Build(executor);
   dead_ = PointIndex(index_.origin());
-  index_.Filter(
-      executor, [&](uint32_t number) { return deaths_[number] > round; },
-      [&](int32_t x, int32_t y, int32_t z, uint32_t number) {
-        if (deaths_[number] == round) dead_.Append(x, y, z, number);
-      });
+  const auto died = static_cast<size_t>(std::count(
+      deaths_.begin(), deaths_.end(), static_cast<DeathRound>(round)));
+  dead_.Reserve(died);
+  if (is_next_round && (index_.removed_count() + died) * 8 < index_.size()) {
+    RemoveDead(round);
+  } else {
+    index_.Filter(
+        executor, [&](uint32_t number) { return deaths_[number] > round; },
+        [&](int32_t x, int32_t y, int32_t z, uint32_t number) {
+          if (deaths_[number] == round) dead_.Append(x, y, z, number);
+        });
+  }
   dead_.Build(executor);
   indexed_round_ = round;
+}
+
+void WorkUnit::RemoveDead(int round) {
+  const std::span<const uint32_t> numbers = index_.numbers();
+  auto from = numbers.begin();
+  const DeathRound* const begin = deaths_.data();
+  const DeathRound* const end = begin + deaths_.size();
+  for (const DeathRound* dead = begin; dead != end; ++dead) {
+    dead = static_cast<const DeathRound*>(
+        std::memchr(dead, round, static_cast<size_t>(end - dead)));
+    if (dead == nullptr) return;
+    const auto number = static_cast<uint32_t>(dead - begin);
+    from = std::lower_bound(from, numbers.end(), number);
+    const auto i = static_cast<uint32_t>(from - numbers.begin());
+    const auto [x, y, z] = index_.Coordinates(i);
+    dead_.Append(x, y, z, number);
+    index_.Remove(i);
+  }
 }
 
 template <typename IsWanted, typename MakeVisitor>

@@ -45,8 +45,8 @@ struct VoterState {
 /// or on the number of workers. Not thread-safe; steps use the executor.
 class WorkUnit {
  public:
-  /// A unit without points; every coordinate is to be within 2^30 steps of
-  /// `origin`.
+  /// A unit without points; every coordinate is to be within
+  /// PointIndex::kMaxCoordinate steps of `origin`.
   WorkUnit(const LatticePoint& origin, const SpdfOptions& options,
            const SpdfConstants& constants);
 
@@ -106,6 +106,8 @@ class WorkUnit {
   /// Makes index_ hold the points whose death is later than `round`, and dead_
   /// those that died in it.
   void IndexSurvivors(int round, const ExecutionContext& context);
+  /// Moves those that died in `round`, few, from index_ to dead_.
+  void RemoveDead(int round);
 
   /// Calls make_visitor() in each of many tasks, and what it returns for
   /// groups of nearby wanted core points: visitor(bound, index points). Each

@@ -11,12 +11,12 @@ namespace mapsieve::engine {
 namespace {
 
 using core::Column;
-using core::LabelColumns;
+using core::LabelSpans;
 using core::LatticeCloud;
 using core::ScalarType;
 
 template <typename T, typename Values>
-Column MakeColumn(std::string_view name, const LabelColumns& labels,
+Column MakeColumn(std::string_view name, const LabelSpans& labels,
                   const Values& value_of) {
   Column column({std::string(name), core::ScalarTypeOf<T>()}, labels.size());
   for (size_t i = 0; i < labels.size(); ++i) column.Set<T>(i, value_of(i));
@@ -25,7 +25,7 @@ Column MakeColumn(std::string_view name, const LabelColumns& labels,
 
 }  // namespace
 
-LatticeCloud MakeProductCloud(LatticeCloud points, const LabelColumns& labels) {
+LatticeCloud MakeProductCloud(LatticeCloud points, const LabelSpans& labels) {
   std::vector<Column> columns;
   columns.push_back(MakeColumn<uint8_t>(kLabelColumn, labels, [&](size_t i) {
     return static_cast<uint8_t>(labels.label[i]);

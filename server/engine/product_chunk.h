@@ -23,7 +23,7 @@ inline constexpr std::string_view kTangentColumn = "spdf.tangent";
 
 /// `points` with `labels`, one entry a point, as columns before their own.
 core::LatticeCloud MakeProductCloud(core::LatticeCloud points,
-                                    const core::LabelColumns& labels);
+                                    const core::LabelSpans& labels);
 
 /// The column of product points named `name`; kDataLoss if it is not there or
 /// not of type `type`.

@@ -1,5 +1,6 @@
 #include "server/engine/stored_tiles.h"
 
+#include <algorithm>
 #include <optional>
 #include <string>
 #include <utility>
@@ -78,8 +79,8 @@ absl::StatusOr<std::unique_ptr<StoredTiles>> StoredTiles::Open(
   }
 }
 
-absl::StatusOr<std::vector<LatticePoint>> StoredTiles::LoadPoints(
-    const CellKey& key) {
+absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
+                                                std::span<LatticePoint> room) {
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> chunks,
                             snapshot_.ListTileChunks(ChunkKind::kRaw, key));
   std::vector<LatticePoint> points;
@@ -90,7 +91,14 @@ absl::StatusOr<std::vector<LatticePoint>> StoredTiles::LoadPoints(
                    {.attributes = std::vector<std::string>()}));
     points.insert(points.end(), cloud.positions.begin(), cloud.positions.end());
   }
-  return core::DistinctPoints(points);
+  points = core::DistinctPoints(points);
+  if (points.size() > room.size()) {
+    return absl::DataLossError(
+        absl::StrCat("tile ", key.ToString(), ": expected up to ", room.size(),
+                     " points in its raw chunks, found ", points.size()));
+  }
+  std::copy(points.begin(), points.end(), room.begin());
+  return static_cast<int64_t>(points.size());
 }
 
 absl::Status StoredTiles::StoreState(const CellKey& key,
@@ -132,12 +140,12 @@ absl::StatusOr<LatticeCloud> StoredTiles::CollectRepresentatives(
   return collected;
 }
 
-absl::Status StoredTiles::Emit(core::TileResult result) {
+absl::Status StoredTiles::Emit(const core::TileResult& result) {
   if (result.rows.empty()) return absl::OkStatus();
   MAPSIEVE_ASSIGN_OR_RETURN(
       LatticeCloud points,
       CollectRepresentatives(result.key, result.positions));
-  const core::LabelColumns& labels = result.columns;
+  const core::LabelSpans& labels = result.columns;
   for (size_t i = 0; i < labels.size(); ++i) {
     ++histogram_[static_cast<size_t>(labels.label[i])][labels.confidence[i]];
   }

@@ -31,13 +31,13 @@ class StoredTiles final : public core::TileStore {
       ChunkWriter& products, int64_t max_pending_bytes, std::stop_token stop);
 
   std::vector<core::TileInfo> Tiles() const override { return tiles_; }
-  absl::StatusOr<std::vector<core::LatticePoint>> LoadPoints(
-      const core::CellKey& key) override;
+  absl::StatusOr<int64_t> LoadPoints(
+      const core::CellKey& key, std::span<core::LatticePoint> room) override;
   absl::Status StoreState(const core::CellKey& key, core::TileStateKind kind,
                           std::span<const std::byte> bytes) override;
   absl::StatusOr<std::vector<std::byte>> LoadState(
       const core::CellKey& key, core::TileStateKind kind) override;
-  absl::Status Emit(core::TileResult result) override;
+  absl::Status Emit(const core::TileResult& result) override;
 
   /// Writes what is pending; to be called after the last Emit.
   absl::Status Flush();

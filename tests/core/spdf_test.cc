@@ -412,9 +412,11 @@ class SmallTiles final : public TileStore {
     }
     return tiles;
   }
-  absl::StatusOr<std::vector<LatticePoint>> LoadPoints(
-      const CellKey& key) override {
-    return points_.at(key);
+  absl::StatusOr<int64_t> LoadPoints(const CellKey& key,
+                                     std::span<LatticePoint> room) override {
+    const std::vector<LatticePoint>& points = points_.at(key);
+    std::copy(points.begin(), points.end(), room.begin());
+    return static_cast<int64_t>(points.size());
   }
   absl::Status StoreState(const CellKey& key, TileStateKind kind,
                           std::span<const std::byte> bytes) override {
@@ -426,13 +428,13 @@ class SmallTiles final : public TileStore {
       const CellKey& key, TileStateKind kind) override {
     return states_.at({static_cast<int>(kind), key.x, key.y, key.z});
   }
-  absl::Status Emit(TileResult result) override {
+  absl::Status Emit(const TileResult& result) override {
     const auto& points = points_.at(result.key);
     for (size_t i = 0; i < result.rows.size(); ++i) {
       EXPECT_EQ(result.positions[i], points[result.rows[i]]);
       answer.positions.push_back(result.positions[i]);
-      answer.columns.Append(result.columns, i);
     }
+    answer.columns.Append(result.columns);
     return absl::OkStatus();
   }
 

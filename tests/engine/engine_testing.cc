@@ -108,13 +108,9 @@ LatticeCloud FilterLocally(const LatticeCloud& cloud,
                            const core::SpdfOptions& options) {
   const auto filtered = core::FilterCloud(cloud, options);
   EXPECT_TRUE(filtered.ok()) << filtered.status();
-  std::vector<uint32_t> rows;
-  core::LabelColumns labels;
-  for (const uint32_t i : filtered->Inliers(options.outlier_share)) {
-    rows.push_back(filtered->rows[i]);
-    labels.Append(filtered->columns, i);
-  }
-  return core::MakeLabeledCloud(cloud, rows, labels);
+  const core::FilteredCloud kept =
+      filtered->WithoutOutliers(options.outlier_share);
+  return core::MakeLabeledCloud(cloud, kept.rows, kept.columns);
 }
 
 absl::StatusOr<Answer> ReadAll(QueryCursor& cursor) {

@@ -119,7 +119,7 @@ TEST(ProductChunk, RefusesColumnsThatAreNone) {
   labels.tangent = {7, 8};
   core::LatticeCloud points;
   points.positions = {{1, 1, 1}, {2, 2, 2}};
-  core::LatticeCloud product = MakeProductCloud(points, labels);
+  core::LatticeCloud product = MakeProductCloud(points, labels.All());
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const core::LabelCounts counts,
                                 CountLabels(product));
   EXPECT_EQ(counts, (core::LabelCounts{1, 0, 1, 0}));

@@ -122,8 +122,8 @@ TEST(PipelineTest, StoresEverythingTheFilterSays) {
     }
   }
   // Outliers are stored: the test is applied when points are read.
-  ExpectSameCloud(
-      stored, MakeProductCloud(scene.Select(expected.rows), expected.columns));
+  ExpectSameCloud(stored, MakeProductCloud(scene.Select(expected.rows),
+                                           expected.columns.All()));
   EXPECT_EQ(counts, expected.summary.label_counts);
   const auto& product = snapshot->revision().spec.product;
   ASSERT_TRUE(product.has_value());

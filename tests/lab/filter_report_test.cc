@@ -82,7 +82,7 @@ FilteredCloud Answer(std::vector<uint32_t> rows, size_t input_size,
   answer.summary.point_count = static_cast<int64_t>(input_size);
   answer.summary.survivor_count = static_cast<int64_t>(rows.size());
   answer.summary.label_counts[At(label)] = answer.summary.survivor_count;
-  answer.summary.max_confidence = core::UpdateMaxConfidence(answer.columns);
+  answer.summary.max_confidence = core::UpdateMaxConfidence(answer.columns.All());
   answer.rows = std::move(rows);
   return answer;
 }
@@ -204,7 +204,7 @@ TEST(FilterReport, FollowsEveryPointOfAKnownClass) {
     }
   }
   survivors.summary.max_confidence =
-      core::UpdateMaxConfidence(survivors.columns);
+      core::UpdateMaxConfidence(survivors.columns.All());
   const std::vector<RuleRun> runs = {{DensityRule::kPaper, survivors, 0}};
   const FilterReport report =
       MakeFilterReport(cloud, Answer(EveryRow(1), 101), runs, kRulerOptions);

@@ -35,13 +35,9 @@ core::LatticeCloud FilteredHere(const core::LatticeCloud& cloud) {
   const core::SpdfOptions options;
   const auto filtered = core::FilterCloud(cloud, options);
   EXPECT_TRUE(filtered.ok()) << filtered.status();
-  std::vector<uint32_t> rows;
-  core::LabelColumns columns;
-  for (const uint32_t i : filtered->Inliers(options.outlier_share)) {
-    rows.push_back(filtered->rows[i]);
-    columns.Append(filtered->columns, i);
-  }
-  return core::MakeLabeledCloud(cloud, rows, columns);
+  const core::FilteredCloud kept =
+      filtered->WithoutOutliers(options.outlier_share);
+  return core::MakeLabeledCloud(cloud, kept.rows, kept.columns);
 }
 
 TEST_F(ServiceTest, AnswersWithWhatTheFilterMakesOfTheUpload) {
