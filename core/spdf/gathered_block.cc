@@ -8,6 +8,7 @@ namespace mapsieve::core {
 
 void GatheredBlock::Gather(const IndexBox& box, int64_t radius) {
   GatherSource source = index_.source();
+  IndexBox near;
   int64_t half2 = 0;
   for (size_t a = 0; a < 3; ++a) {
     center_[a] = box.min[a] + (box.max[a] - box.min[a]) / 2;
@@ -15,11 +16,13 @@ void GatheredBlock::Gather(const IndexBox& box, int64_t radius) {
     half2 += half * half;
     source.center[a] = center_[a];
     source.half[a] = static_cast<int32_t>(half + radius);
+    near.min[a] = center_[a] - source.half[a];
+    near.max[a] = center_[a] + source.half[a];
   }
   half_diagonal_ = CeilRoot(half2);
   radius_ = radius;
   nearest_radius_ = kUnbounded;
-  index_.FindRanges(box, radius, ranges_);
+  index_.FindRanges(near, ranges_);
   size_t total = 2 * kKernelPadding;
   for (const auto& [begin, end] : ranges_) total += end - begin;
   if (xy_.size() < total) {

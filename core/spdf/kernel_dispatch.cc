@@ -31,12 +31,17 @@ const Available& GetAvailable() {
   return available;
 }
 
+const Kernels*& GetActive() {
+  static const Kernels* active =
+      GetAvailable().kernels[GetAvailable().count - 1];
+  return active;
+}
+
 }  // namespace
 
-const Kernels& ActiveKernels() {
-  const Available& available = GetAvailable();
-  return *available.kernels[available.count - 1];
-}
+const Kernels& ActiveKernels() { return *GetActive(); }
+
+void UseKernels(const Kernels& kernels) { GetActive() = &kernels; }
 
 const Kernels* const* AvailableKernels(int* count) {
   *count = GetAvailable().count;

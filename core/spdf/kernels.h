@@ -173,11 +173,14 @@ struct Kernels {
   int32_t (*weight)(int32_t d2, float weight_scale);
 };
 
-/// The fastest version that this processor runs. Thread-safe.
+/// The version in use: the fastest that this processor runs. Thread-safe.
 const Kernels& ActiveKernels();
 
-/// Every version that this processor runs, the portable one first; for tests.
-/// `count` receives their number.
+/// Makes `kernels` the version in use, for benchmarks. Not while others filter.
+void UseKernels(const Kernels& kernels);
+
+/// Every version that this processor runs, the portable one first; for tests
+/// and benchmarks. `count` receives their number.
 const Kernels* const* AvailableKernels(int* count);
 
 }  // namespace mapsieve::core

@@ -7,17 +7,6 @@
 
 namespace mapsieve::core {
 
-int64_t IndexBox::SquaredDistance(const IndexBox& other) const {
-  int64_t sum = 0;
-  for (size_t a = 0; a < 3; ++a) {
-    const int64_t below = int64_t{min[a]} - other.max[a];
-    const int64_t above = int64_t{other.min[a]} - max[a];
-    const int64_t gap = std::max(std::max(below, above), int64_t{0});
-    sum += gap * gap;
-  }
-  return sum;
-}
-
 void IndexBox::Extend(const IndexBox& other) {
   for (size_t a = 0; a < 3; ++a) {
     min[a] = std::min(min[a], other.min[a]);
@@ -165,7 +154,7 @@ void PointIndex::Build(Executor& executor) {
   append(append, 0, size);
 }
 
-void PointIndex::FindRanges(const IndexBox& box, int64_t radius,
+void PointIndex::FindRanges(const IndexBox& box,
                             std::vector<Range>& ranges) const {
   ranges.clear();
   if (nodes_.empty()) return;
@@ -173,11 +162,10 @@ void PointIndex::FindRanges(const IndexBox& box, int64_t radius,
   std::array<uint32_t, 3 * 64 + 8> stack;
   size_t depth = 0;
   stack[depth++] = 0;
-  const int64_t radius2 = radius * radius;
   while (depth > 0) {
     const uint32_t n = stack[--depth];
     const Node& node = nodes_[n];
-    if (node.box.SquaredDistance(box) > radius2) continue;
+    if (!node.box.Touches(box)) continue;
     if (!node.is_leaf()) {
       stack[depth++] = node.right;
       stack[depth++] = n + 1;

@@ -19,8 +19,13 @@ struct IndexBox {
   std::array<int32_t, 3> min;
   std::array<int32_t, 3> max;
 
-  /// Squared distance of the two boxes; 0 if they touch.
-  int64_t SquaredDistance(const IndexBox& other) const;
+  bool Touches(const IndexBox& other) const {
+    bool touches = true;
+    for (size_t a = 0; a < 3; ++a) {
+      touches &= min[a] <= other.max[a] && other.min[a] <= max[a];
+    }
+    return touches;
+  }
   void Extend(const IndexBox& other);
   /// Longest edge.
   int64_t Extent() const;
@@ -103,10 +108,8 @@ class PointIndex {
 
   using Range = std::pair<uint32_t, uint32_t>;
   /// Ranges [first, second), ascending and disjoint, that hold every point
-  /// within `radius` steps of `box`, and others of the same leaves. Replaces
-  /// the content of `ranges`.
-  void FindRanges(const IndexBox& box, int64_t radius,
-                  std::vector<Range>& ranges) const;
+  /// of `box`, and others of the same leaves. Replaces the content of `ranges`.
+  void FindRanges(const IndexBox& box, std::vector<Range>& ranges) const;
 
  private:
   /// x of a removed point: farther from any other than a block reaches, with

@@ -1,7 +1,7 @@
 // Times the filter against one plain nanoflann pass over the same points, in
 // one run, and prints a table.
 //   filter_bench [--repeats N] [--threads N] [--rho M] [--sigma M2] [--reach M]
-//                [--neighbors K] CLOUD…
+//                [--neighbors K] [--kernels Portable|Avx2|Avx512] CLOUD…
 // CLOUD is campus:N (N points of the simulated campus), campus:N:S (a rotation
 // every S metres: dense near the scanner as a standing scan is), or a file:
 // *.bin is float32 x y z, the rest by its extension.
@@ -24,6 +24,8 @@
 #include "core/base/heap.h"
 #include "core/cloud/merge_duplicates.h"
 #include "core/spdf/cloud_filter.h"
+#include "core/spdf/kernels.h"
+#include "core/spdf/work_unit.h"
 #include "tests/bench/nanoflann_pass.h"
 
 namespace mapsieve::bench {
@@ -33,6 +35,7 @@ struct BenchOptions {
   int repeats = 5;
   int threads = 2;
   core::SpdfOptions spdf = {.density_radius_m = 0.2};
+  std::string kernels;
   std::vector<std::string> clouds;
   /// Filter the one cloud and print what it needs of memory.
   bool memory = false;
@@ -108,21 +111,39 @@ FilterRun Filter(std::vector<core::Point3> points,
   return {filtered.summary, filtered.Inliers(options.outlier_share).size()};
 }
 
-/// The distinct lattice points in Morton order, relative to the first.
-std::vector<std::array<float, 3>> Sorted(
+/// The distinct lattice points in Morton order.
+std::vector<core::LatticePoint> Distinct(
     const std::vector<core::Point3>& points) {
   core::RefusedCounts refused;
-  const core::LatticeCloud cloud =
-      core::Quantize({points, {}}, core::Lattice(), refused);
+  return core::DistinctPoints(
+      core::Quantize({points, {}}, core::Lattice(), refused).positions);
+}
+
+/// Distinct points relative to the first.
+std::vector<std::array<float, 3>> Relative(
+    const std::vector<core::LatticePoint>& distinct) {
   std::vector<std::array<float, 3>> sorted;
-  const core::LatticePoint origin = cloud.positions.at(0);
-  const double step = cloud.lattice.step();
-  for (const core::LatticePoint& q : core::DistinctPoints(cloud.positions)) {
+  const core::LatticePoint origin = distinct.at(0);
+  const double step = core::Lattice().step();
+  for (const core::LatticePoint& q : distinct) {
     sorted.push_back({static_cast<float>(double(q.x - origin.x) * step),
                       static_cast<float>(double(q.y - origin.y) * step),
                       static_cast<float>(double(q.z - origin.z) * step)});
   }
   return sorted;
+}
+
+/// Rule quota's counting pass alone, tree included.
+double CountingPassSeconds(const std::vector<core::LatticePoint>& distinct,
+                           const core::SpdfOptions& options) {
+  const core::SpdfConstants constants =
+      core::MakeSpdfConstants(options, core::Lattice());
+  core::WorkUnit unit(distinct.front(), options, constants);
+  unit.Grow(distinct.size(), /*is_core=*/true);
+  unit.SetPoints(0, distinct);
+  return Seconds([&] {
+    if (!unit.RunQuota({}).ok()) Fail("the counting pass failed");
+  });
 }
 
 double Median(std::vector<double> values) {
@@ -177,17 +198,32 @@ void PrintMemory(const BenchOptions& options) {
   std::cout << static_cast<double>(PeakBytes() - empty) / count << "\n";
 }
 
+/// Every point casts votes to its neighbours once for the rounds, every
+/// survivor twice more; what the rounds evaluate again is not counted.
+double NanosecondsPerVote(double seconds, const FilterRun& run,
+                          const BenchOptions& options) {
+  const auto votes = static_cast<double>(
+      (run.summary.point_count + 2 * run.summary.survivor_count) *
+      options.spdf.neighbor_count);
+  return seconds / votes * 1e9;
+}
+
 void Bench(const char* program, const std::string& name,
            const BenchOptions& options) {
   const std::vector<core::Point3> points = ReadCloud(name);
-  const std::vector<std::array<float, 3>> sorted = Sorted(points);
+  const std::vector<core::LatticePoint> distinct = Distinct(points);
+  const std::vector<std::array<float, 3>> sorted = Relative(distinct);
   const std::unique_ptr<Executor> workers = MakeWorkerPool(options.threads);
   core::SpdfOptions quota = options.spdf;
   quota.rule = core::DensityRule::kQuota;
+  core::SpdfOptions default_reach = options.spdf;
+  default_reach.reach_m = core::SpdfOptions().reach_m;
   std::vector<double> pass_s;
   std::vector<double> one_s;
   std::vector<double> all_s;
   std::vector<double> quota_s;
+  std::vector<double> count_s;
+  std::vector<double> default_reach_s;
   FilterRun run;
   double sum = 0;
   // The filter takes its input over; the copy is not its work.
@@ -198,20 +234,37 @@ void Bench(const char* program, const std::string& name,
   for (int i = 0; i < options.repeats; ++i) {
     pass_s.push_back(Seconds(
         [&] { sum += NanoflannPass(sorted, options.spdf.neighbor_count); }));
+    count_s.push_back(CountingPassSeconds(distinct, quota));
     quota_s.push_back(filter_s(quota, InlineExecutor()));
     all_s.push_back(filter_s(options.spdf, *workers));
+    default_reach_s.push_back(filter_s(default_reach, InlineExecutor()));
     one_s.push_back(filter_s(options.spdf, InlineExecutor()));
   }
   if (!(sum > 0)) Fail(name + ": no neighbours");
   const double pass = Median(pass_s);
   std::printf(
-      "| %s | %lld | %.3f | %.3f | %.2f | %.2f | %.2f | %.0f | %lld | %zu |\n",
+      "| %s | %lld | %.3f | %.3f | %.2f | %.2f | %.1f | %.2f | %.2f | %.2f | "
+      "%.0f | "
+      "%lld | %zu |\n",
       name.substr(name.rfind('/') + 1).c_str(),
       static_cast<long long>(run.summary.point_count), pass, Median(one_s),
-      Median(one_s) / pass, Median(one_s) / Median(all_s),
-      Median(quota_s) / pass, PeakBytesPerPoint(program, name, options),
+      Median(one_s) / pass, Median(default_reach_s) / pass,
+      NanosecondsPerVote(Median(one_s), run, options),
+      Median(one_s) / Median(all_s), Median(quota_s) / pass,
+      Median(count_s) / pass, PeakBytesPerPoint(program, name, options),
       static_cast<long long>(run.summary.survivor_count), run.inliers);
   std::fflush(stdout);
+}
+
+/// Filters with the version named; the fastest for none.
+void ChooseKernels(const std::string& name) {
+  if (name.empty()) return;
+  int count = 0;
+  const core::Kernels* const* kernels = core::AvailableKernels(&count);
+  for (int i = 0; i < count; ++i) {
+    if (name == kernels[i]->name) return core::UseKernels(*kernels[i]);
+  }
+  Fail("this processor has no kernels " + name);
 }
 
 BenchOptions ParseOptions(int argc, char** argv) {
@@ -236,6 +289,8 @@ BenchOptions ParseOptions(int argc, char** argv) {
       options.spdf.reach_m = value();
     } else if (arg == "--neighbors") {
       options.spdf.neighbor_count = static_cast<int>(value());
+    } else if (arg == "--kernels" && i + 1 < argc) {
+      options.kernels = argv[++i];
     } else if (arg.starts_with("--")) {
       Fail("unknown option " + std::string(arg));
     } else {
@@ -253,15 +308,17 @@ int main(int argc, char** argv) {
   mapsieve::ReturnFreedBlocks();
   using namespace mapsieve::bench;
   const BenchOptions options = ParseOptions(argc, argv);
+  ChooseKernels(options.kernels);
   if (options.memory) {
     PrintMemory(options);
     return 0;
   }
   std::printf(
       "| cloud | distinct points | nanoflann pass s | filter s | ratio | "
-      "%d threads: times faster | quota: ratio | peak bytes/point | "
-      "after rounds | after outliers "
-      "|\n|---|---|---|---|---|---|---|---|---|---|\n",
+      "default reach: ratio | ns per vote | %d threads: times faster | quota: "
+      "ratio | "
+      "its counting pass | peak bytes/point | after rounds | after outliers "
+      "|\n|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
       options.threads);
   for (const std::string& cloud : options.clouds) {
     Bench(argv[0], cloud, options);

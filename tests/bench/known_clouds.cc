@@ -198,8 +198,9 @@ absl::StatusOr<std::string> ReadFile(const std::string& path) {
 
 }  // namespace
 
-absl::StatusOr<KnownCloud> CampusCloud(double range_noise_m) {
-  const client::SimulateOptions options = {.range_noise_m = range_noise_m};
+absl::StatusOr<KnownCloud> CampusCloud(Scenes scenes, double range_noise_m) {
+  client::SimulateOptions options = {.range_noise_m = range_noise_m};
+  if (scenes == Scenes::kHeldOut) options.seed = 20261125;
   MAPSIEVE_ASSIGN_OR_RETURN(client::CampusScanner scanner,
                             client::CampusScanner::Create(options));
   const std::vector<Cylinder> posts = CampusPosts(scanner, options);
@@ -233,15 +234,25 @@ absl::StatusOr<KnownCloud> CampusCloud(double range_noise_m) {
   return MakeKnownCloud("campus", std::move(cloud), subjects, std::move(kinds));
 }
 
-absl::StatusOr<KnownCloud> YardCloud(double range_noise_m) {
+absl::StatusOr<KnownCloud> YardCloud(Scenes scenes, double range_noise_m) {
+  const bool held_out = scenes == Scenes::kHeldOut;
   client::SceneDescription description;
   description.ground = client::Ground::Flat(12, 0);
   // Two walls that meet at (5, 5), and a kiosk.
   description.polyhedra = {client::UprightBox({6, 0, -1}, 1, 9, 5, 0),
                            client::UprightBox({-2, 6, -1}, 7, 1, 5, 0),
                            client::UprightBox({-4, -4, -1}, 1, 0.75, 3.5, 0.3)};
+  std::array radii = {0.01, 0.02, 0.04, 0.08};
+  if (held_out) {
+    // A passage between walls that are not parallel, and a booth.
+    description.polyhedra = {
+        client::UprightBox({5, 0, -1}, 0.5, 8, 4, 0.15),
+        client::UprightBox({-6.5, 1, -1}, 0.5, 8, 6, -0.1),
+        client::UprightBox({1, -4.5, -1}, 1.2, 0.6, 3.5, -0.7)};
+    radii = {0.008, 0.015, 0.03, 0.06};
+  }
   double x = -3.5;
-  for (const double radius : {0.01, 0.02, 0.04, 0.08}) {
+  for (const double radius : radii) {
     description.cylinders.push_back(
         {{x, 2, -0.5}, radius, 4, ObjectClass::kPole, 0.5F});
     x += 2;
@@ -250,7 +261,7 @@ absl::StatusOr<KnownCloud> YardCloud(double range_noise_m) {
   client::Scene scene(std::move(description));
   const client::SpinningScanner scanner(
       {.range_noise_m = range_noise_m, .spurious_share = 0});
-  std::mt19937_64 random(1);
+  std::mt19937_64 random(held_out ? 2 : 1);
   const auto uniform = [&](double low, double high) {
     return low + (high - low) * static_cast<double>(random() >> 11) * 0x1p-53;
   };

@@ -37,14 +37,18 @@ struct KnownCloud {
   std::vector<uint8_t> kind_of;
 };
 
+/// Clouds that the criteria of the tables were chosen on, and others, of other
+/// geometry, that were not looked at before.
+enum class Scenes { kChosenOn, kHeldOut };
+
 /// The simulated campus survey with 1 million points: few places are denser
 /// than 50 points in a ball of 0.2 m.
-absl::StatusOr<KnownCloud> CampusCloud(double range_noise_m);
+absl::StatusOr<KnownCloud> CampusCloud(Scenes scenes, double range_noise_m);
 
 /// A yard with two walls, a kiosk and posts of four radii, seen by the campus'
 /// scanner from so many places that most of it holds more than 50 points in a
 /// ball of 0.1 m.
-absl::StatusOr<KnownCloud> YardCloud(double range_noise_m);
+absl::StatusOr<KnownCloud> YardCloud(Scenes scenes, double range_noise_m);
 
 /// `path`: float32 x, y, z of each point, little-endian; `path`.truth: a
 /// core::Label a point, 0 for foliage and noise. Surfaces farther than
