@@ -64,13 +64,6 @@ absl::StatusOr<ChunkRef> TakeChunk(SqliteDatabase& database, const MapRow& map,
   return chunk;
 }
 
-core::LatticeBox Union(const core::LatticeBox& a, const core::LatticeBox& b) {
-  return {{std::min(a.min.x, b.min.x), std::min(a.min.y, b.min.y),
-           std::min(a.min.z, b.min.z)},
-          {std::max(a.max.x, b.max.x), std::max(a.max.y, b.max.y),
-           std::max(a.max.z, b.max.z)}};
-}
-
 // Adds `sign` times the chunk to the sums of its revision.
 void AddChunk(const ChunkRef& chunk, int sign, RevisionTotals& totals) {
   totals.stored_bytes += sign * chunk.stored_bytes;
@@ -193,7 +186,7 @@ class Change {
     if (chunk.kind == ChunkKind::kRaw) {
       totals_.bounds = totals_.raw_chunk_count == 0
                            ? chunk.bounds
-                           : Union(totals_.bounds, chunk.bounds);
+                           : totals_.bounds.Union(chunk.bounds);
     }
     AddChunk(chunk, 1, totals_);
     return CountRawChunk(chunk, 1);

@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_CORE_GEOMETRY_CELL_KEY_H_
 #define MAPSIEVE_CORE_GEOMETRY_CELL_KEY_H_
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <string>
@@ -28,8 +29,20 @@ struct LatticeBox {
     return {{min.x - margin, min.y - margin, min.z - margin},
             {max.x + margin, max.y + margin, max.z + margin}};
   }
+  /// The smallest box that holds both.
+  LatticeBox Union(const LatticeBox& other) const {
+    return {{std::min(min.x, other.min.x), std::min(min.y, other.min.y),
+             std::min(min.z, other.min.z)},
+            {std::max(max.x, other.max.x), std::max(max.y, other.max.y),
+             std::max(max.z, other.max.z)}};
+  }
   friend bool operator==(const LatticeBox&, const LatticeBox&) = default;
 };
+
+/// The box of one point.
+inline LatticeBox BoxOf(const LatticePoint& q) {
+  return {q, {q.x + 1, q.y + 1, q.z + 1}};
+}
 
 /// Levels of cells: an edge of 2^0 to 2^kMaxCellLevel steps.
 inline constexpr int kMaxCellLevel = 43;

@@ -20,6 +20,10 @@ struct TileInfo {
   int64_t point_count = 0;
 };
 
+/// Round in which a point died: 1, 2, …; kAlive for a survivor.
+using DeathRound = uint8_t;
+inline constexpr DeathRound kAlive = 255;
+
 /// What the filter keeps of a tile between two visits.
 enum class TileStateKind : uint8_t { kDeaths = 1, kRounds = 2, kVoters = 3 };
 
@@ -29,6 +33,8 @@ struct TileResult {
   CellKey key;
   /// Distinct points of the tile.
   int64_t point_count = 0;
+  /// One a distinct point of the tile.
+  std::span<const DeathRound> deaths;
   /// Rows of the survivors among the tile's distinct points, ascending.
   std::span<const uint32_t> rows;
   std::span<const LatticePoint> positions;

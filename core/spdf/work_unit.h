@@ -15,12 +15,9 @@
 #include "core/spdf/labels.h"
 #include "core/spdf/point_index.h"
 #include "core/spdf/spdf_options.h"
+#include "core/spdf/tile_filter.h"
 
 namespace mapsieve::core {
-
-/// Round in which a point died: 1, 2, …; kAlive for a survivor.
-using DeathRound = uint8_t;
-inline constexpr DeathRound kAlive = 255;
 
 /// What the rounds remember of a point: 8 bytes, zero for a point that can
 /// never be flagged again ("settled").
@@ -61,6 +58,10 @@ class WorkUnit {
   }
 
   size_t size() const { return deaths_.size(); }
+
+  /// One entry a point: whether steps compute it, 1, or it is there for others
+  /// only, 0; as Grow set it.
+  BulkVector<uint8_t>& core() { return is_core_; }
 
   /// One entry a point, written by the steps for core points; of halo points
   /// they are to be set before a step.

@@ -1,0 +1,268 @@
+#include "core/spdf/tile_units.h"
+
+#include <algorithm>
+
+namespace mapsieve::core {
+namespace {
+
+/// Coordinates of a unit are int32 relative to its first tile's corner.
+constexpr int64_t kMaxUnitExtent = PointIndex::kMaxCoordinate;
+
+/// Points of tiles that are loaded, or answered for, at a time.
+constexpr int64_t kBatchPointsPerWorker = 1 << 16;
+
+bool IsTooWide(const LatticeBox& box) {
+  return box.max.x - box.min.x > kMaxUnitExtent ||
+         box.max.y - box.min.y > kMaxUnitExtent ||
+         box.max.z - box.min.z > kMaxUnitExtent;
+}
+
+}  // namespace
+
+TileUnits::TileUnits(TileStore& store, const SpdfOptions& options,
+                     const SpdfConstants& constants,
+                     const ExecutionContext& context)
+    : store_(store),
+      options_(options),
+      constants_(constants),
+      context_(context),
+      tiles_(store.Tiles()) {
+  for (size_t t = 0; t < tiles_.size(); ++t) {
+    tile_numbers_.emplace(tiles_[t].key, t);
+  }
+}
+
+std::optional<size_t> TileUnits::Find(const CellKey& key) const {
+  const auto found = tile_numbers_.find(key);
+  if (found == tile_numbers_.end()) return std::nullopt;
+  return found->second;
+}
+
+std::vector<size_t> TileUnits::TilesIn(const LatticeBox& box) const {
+  std::vector<size_t> found;
+  if (tiles_.empty()) return found;
+  const int level = tiles_[0].key.level;
+  const CellKey low = CellKey::Of(box.min, level);
+  const CellKey high =
+      CellKey::Of({box.max.x - 1, box.max.y - 1, box.max.z - 1}, level);
+  const auto limit = static_cast<double>(tiles_.size());
+  if (static_cast<double>(high.x - low.x + 1) *
+          static_cast<double>(high.y - low.y + 1) *
+          static_cast<double>(high.z - low.z + 1) <=
+      limit) {
+    for (int64_t z = low.z; z <= high.z; ++z) {
+      for (int64_t y = low.y; y <= high.y; ++y) {
+        for (int64_t x = low.x; x <= high.x; ++x) {
+          if (const auto t = Find({level, x, y, z})) found.push_back(*t);
+        }
+      }
+    }
+    std::sort(found.begin(), found.end());
+    return found;
+  }
+  for (size_t t = 0; t < tiles_.size(); ++t) {
+    if (box.Intersects(tiles_[t].key.box())) found.push_back(t);
+  }
+  return found;
+}
+
+std::vector<TileUnits::Unit> TileUnits::Group(std::span<const size_t> wanted,
+                                              int64_t max_unit_points) const {
+  std::vector<Unit> units;
+  int64_t points = 0;
+  LatticeBox box;
+  for (const size_t t : wanted) {
+    const LatticeBox tile = tiles_[t].key.box();
+    const LatticeBox grown = units.empty() ? tile : box.Union(tile);
+    points += tiles_[t].point_count;
+    if (units.empty() || points > max_unit_points || IsTooWide(grown)) {
+      units.emplace_back();
+      points = tiles_[t].point_count;
+      box = tile;
+    } else {
+      box = grown;
+    }
+    units.back().push_back(t);
+  }
+  return units;
+}
+
+std::unordered_map<size_t, std::vector<size_t>> TileUnits::HaloTiles(
+    const Unit& unit, int64_t margin) const {
+  HaloOf halo;
+  if (unit.size() == tiles_.size()) return halo;
+  for (const size_t core : unit) {
+    for (const size_t t : TilesIn(tiles_[core].key.box().Grown(margin))) {
+      if (!std::binary_search(unit.begin(), unit.end(), t)) {
+        halo[t].push_back(core);
+      }
+    }
+  }
+  return halo;
+}
+
+absl::StatusOr<LoadedUnit> TileUnits::Load(const Unit& unit, int64_t margin) {
+  LoadedUnit loaded;
+  const HaloOf halo = HaloTiles(unit, margin);
+  std::vector<size_t> wanted = unit;
+  for (const auto& [tile, near] : halo) wanted.push_back(tile);
+  std::sort(wanted.begin(), wanted.end());
+  loaded.work = std::make_unique<WorkUnit>(tiles_[unit.front()].key.corner(),
+                                           options_, constants_);
+  WorkUnit& work = *loaded.work;
+  size_t core_points = 0;
+  for (const size_t t : unit) {
+    core_points += static_cast<size_t>(tiles_[t].point_count);
+  }
+  work.Reserve(core_points);
+  for (const size_t t : wanted) {
+    loaded.tiles.push_back({.tile = t, .is_core = !halo.contains(t)});
+  }
+  const absl::Status status =
+      ForEachBatch(loaded.tiles, [&](std::span<LoadedTile> batch) {
+        return LoadBatch(halo, margin, batch, work);
+      });
+  if (!status.ok()) return status;
+  return loaded;
+}
+
+/// Appends the points of `batch` to `work`; of a halo tile, those within
+/// `margin` steps of the core tiles that `halo` names.
+absl::Status TileUnits::LoadBatch(const HaloOf& halo, int64_t margin,
+                                  std::span<LoadedTile> batch, WorkUnit& work) {
+  size_t room = 0;
+  std::vector<size_t> begins;
+  for (const LoadedTile& tile : batch) {
+    begins.push_back(room);
+    room += static_cast<size_t>(tiles_[tile.tile].point_count);
+  }
+  begins.push_back(room);
+  batch_points_.resize(std::max(batch_points_.size(), room));
+  std::vector<std::span<LatticePoint>> points(batch.size());
+  const auto count = static_cast<int64_t>(batch.size());
+  MAPSIEVE_RETURN_IF_ERROR(
+      TryParallelFor(*context_.executor, count, [&](int64_t i) -> absl::Status {
+        const auto b = static_cast<size_t>(i);
+        LoadedTile& tile = batch[b];
+        points[b] = std::span(batch_points_)
+                        .subspan(begins[b], begins[b + 1] - begins[b]);
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            const int64_t size,
+            store_.LoadPoints(tiles_[tile.tile].key, points[b]));
+        points[b] = points[b].first(static_cast<size_t>(size));
+        if (!tile.is_core) {
+          tile.rows = KeepNear(halo.at(tile.tile), margin, points[b]);
+        }
+        return absl::OkStatus();
+      }));
+  for (size_t b = 0; b < batch.size(); ++b) {
+    batch[b].begin = work.size();
+    work.Grow(points[b].size(), batch[b].is_core);
+    batch[b].end = work.size();
+  }
+  context_.executor->ParallelFor(count, [&](int64_t i) {
+    const auto b = static_cast<size_t>(i);
+    work.SetPoints(batch[b].begin, points[b]);
+  });
+  return absl::OkStatus();
+}
+
+/// Leaves in `points`, those of a halo tile, the ones within `margin` steps of
+/// any of the tiles `core`, and returns their rows.
+std::vector<uint32_t> TileUnits::KeepNear(
+    const std::vector<size_t>& core, int64_t margin,
+    std::span<LatticePoint>& points) const {
+  std::vector<uint32_t> rows;
+  for (uint32_t row = 0; row < points.size(); ++row) {
+    for (const size_t t : core) {
+      if (tiles_[t].key.box().Grown(margin).Contains(points[row])) {
+        points[rows.size()] = points[row];
+        rows.push_back(row);
+        break;
+      }
+    }
+  }
+  points = points.first(rows.size());
+  return rows;
+}
+
+/// Calls use(batch) for adjacent `tiles`: enough to keep every worker busy, few
+/// enough for copies of their points to be small beside a unit.
+template <typename Use>
+absl::Status TileUnits::ForEachBatch(std::span<LoadedTile> tiles,
+                                     const Use& use) const {
+  const int64_t batch_points =
+      kBatchPointsPerWorker * context_.executor->worker_count();
+  size_t begin = 0;
+  int64_t points = 0;
+  for (size_t t = 0; t < tiles.size(); ++t) {
+    points += tiles_[tiles[t].tile].point_count;
+    if (points < batch_points && t + 1 < tiles.size()) continue;
+    MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+    MAPSIEVE_RETURN_IF_ERROR(use(tiles.subspan(begin, t + 1 - begin)));
+    begin = t + 1;
+    points = 0;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status TileUnits::Emit(const LoadedUnit& loaded,
+                             const WorkUnit::Labeled& labeled,
+                             SpdfSummary& summary) {
+  std::vector<LoadedTile> core;
+  for (const LoadedTile& tile : loaded.tiles) {
+    if (tile.is_core) core.push_back(tile);
+  }
+  return ForEachBatch(core, [&](std::span<LoadedTile> batch) {
+    return EmitBatch(*loaded.work, batch, labeled, summary);
+  });
+}
+
+absl::Status TileUnits::EmitBatch(WorkUnit& unit,
+                                  std::span<const LoadedTile> tiles,
+                                  const WorkUnit::Labeled& labeled,
+                                  SpdfSummary& summary) {
+  const auto survivor_at = [&](size_t point) {
+    return static_cast<size_t>(
+        std::lower_bound(labeled.points.begin(), labeled.points.end(), point) -
+        labeled.points.begin());
+  };
+  const size_t first = survivor_at(tiles.front().begin);
+  const size_t size = survivor_at(tiles.back().end) - first;
+  batch_rows_.resize(std::max(batch_rows_.size(), size));
+  batch_points_.resize(std::max(batch_points_.size(), size));
+  std::vector<TileResult> results(tiles.size());
+  context_.executor->ParallelFor(
+      static_cast<int64_t>(tiles.size()), [&](int64_t t) {
+        const LoadedTile& tile = tiles[static_cast<size_t>(t)];
+        const size_t begin = survivor_at(tile.begin);
+        const size_t end = survivor_at(tile.end);
+        for (size_t i = begin; i < end; ++i) {
+          batch_rows_[i - first] =
+              labeled.points[i] - static_cast<uint32_t>(tile.begin);
+          batch_points_[i - first] = unit.SurvivorPosition(i);
+        }
+        const size_t point_count = tile.end - tile.begin;
+        results[static_cast<size_t>(t)] = {
+            .key = tiles_[tile.tile].key,
+            .point_count = static_cast<int64_t>(point_count),
+            .deaths = std::span(unit.deaths()).subspan(tile.begin, point_count),
+            .rows = std::span(batch_rows_).subspan(begin - first, end - begin),
+            .positions =
+                std::span(batch_points_).subspan(begin - first, end - begin),
+            .columns = labeled.columns.Slice(begin, end)};
+      });
+  for (const TileResult& result : results) {
+    summary.point_count += result.point_count;
+    summary.survivor_count += static_cast<int64_t>(result.rows.size());
+    for (const Label label : result.columns.label) {
+      ++summary.label_counts[static_cast<size_t>(label)];
+    }
+    summary.max_confidence =
+        UpdateMaxConfidence(result.columns, summary.max_confidence);
+    MAPSIEVE_RETURN_IF_ERROR(store_.Emit(result));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace mapsieve::core

@@ -1,0 +1,182 @@
+#ifndef MAPSIEVE_CORE_SPDF_TILE_UNITS_H_
+#define MAPSIEVE_CORE_SPDF_TILE_UNITS_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <optional>
+#include <span>
+#include <unordered_map>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/base/bulk_vector.h"
+#include "core/base/executor.h"
+#include "core/base/status.h"
+#include "core/geometry/cell_key.h"
+#include "core/spdf/spdf_options.h"
+#include "core/spdf/tile_filter.h"
+#include "core/spdf/work_unit.h"
+
+namespace mapsieve::core {
+
+/// One tile's part of a loaded unit.
+struct LoadedTile {
+  /// Its number in TileUnits::tiles.
+  size_t tile = 0;
+  bool is_core = false;
+  /// The tile's points in the unit: [begin, end).
+  size_t begin = 0;
+  size_t end = 0;
+  /// Of a halo tile, the rows of its points that were loaded.
+  std::vector<uint32_t> rows;
+};
+
+/// Some tiles, the core, with the points around them.
+struct LoadedUnit {
+  /// In their order; core and halo.
+  std::vector<LoadedTile> tiles;
+  std::unique_ptr<WorkUnit> work;
+};
+
+/// Forms units of a store's tiles, loads them with a halo, and moves what the
+/// filter keeps of them between the store and a WorkUnit. Used by one thread;
+/// tiles are loaded on the context's executor. The references outlive it.
+class TileUnits {
+ public:
+  /// Numbers of tiles, ascending.
+  using Unit = std::vector<size_t>;
+
+  TileUnits(TileStore& store, const SpdfOptions& options,
+            const SpdfConstants& constants, const ExecutionContext& context);
+
+  const std::vector<TileInfo>& tiles() const { return tiles_; }
+  std::optional<size_t> Find(const CellKey& key) const;
+  /// Numbers of the tiles that intersect `box`, ascending.
+  std::vector<size_t> TilesIn(const LatticeBox& box) const;
+
+  /// Divides `wanted`, ascending, into units of tiles that follow each other,
+  /// each of up to `max_unit_points` or one tile.
+  std::vector<Unit> Group(std::span<const size_t> wanted,
+                          int64_t max_unit_points) const;
+
+  /// Tiles outside `unit` within `margin` steps of it, and for each the core
+  /// tiles that near.
+  std::unordered_map<size_t, std::vector<size_t>> HaloTiles(
+      const Unit& unit, int64_t margin) const;
+
+  /// The points of the unit's tiles, and others within `margin` steps of them.
+  absl::StatusOr<LoadedUnit> Load(const Unit& unit, int64_t margin);
+
+  /// Fills `states`, one entry a point of the unit: of core tiles, and of the
+  /// halo if asked for.
+  template <typename T>
+  absl::Status LoadStates(const LoadedUnit& loaded, TileStateKind kind,
+                          bool with_halo, BulkVector<T>& states);
+  /// Stores the states of a tile of the core.
+  template <typename T>
+  absl::Status StoreTileStates(const LoadedTile& tile, TileStateKind kind,
+                               const BulkVector<T>& states);
+  /// Stores the states of the core tiles.
+  template <typename T>
+  absl::Status StoreStates(const LoadedUnit& loaded, TileStateKind kind,
+                           const BulkVector<T>& states);
+
+  /// Hands the answers for the core tiles to the store and adds them to
+  /// `summary`.
+  absl::Status Emit(const LoadedUnit& loaded, const WorkUnit::Labeled& labeled,
+                    SpdfSummary& summary);
+
+ private:
+  using HaloOf = std::unordered_map<size_t, std::vector<size_t>>;
+
+  absl::Status LoadBatch(const HaloOf& halo, int64_t margin,
+                         std::span<LoadedTile> batch, WorkUnit& work);
+  std::vector<uint32_t> KeepNear(const std::vector<size_t>& core,
+                                 int64_t margin,
+                                 std::span<LatticePoint>& points) const;
+  absl::Status EmitBatch(WorkUnit& unit, std::span<const LoadedTile> tiles,
+                         const WorkUnit::Labeled& labeled,
+                         SpdfSummary& summary);
+  template <typename Use>
+  absl::Status ForEachBatch(std::span<LoadedTile> tiles, const Use& use) const;
+  template <typename T>
+  absl::Status LoadTileStates(const LoadedTile& tile, TileStateKind kind,
+                              BulkVector<T>& states);
+
+  TileStore& store_;
+  const SpdfOptions& options_;
+  const SpdfConstants& constants_;
+  const ExecutionContext& context_;
+  const std::vector<TileInfo> tiles_;
+  std::unordered_map<CellKey, size_t, CellKeyHash> tile_numbers_;
+  /// Of a batch of tiles; kept from batch to batch, since fresh memory is dear.
+  BulkVector<LatticePoint> batch_points_;
+  BulkVector<uint32_t> batch_rows_;
+};
+
+template <typename T>
+absl::Status TileUnits::LoadStates(const LoadedUnit& loaded, TileStateKind kind,
+                                   bool with_halo, BulkVector<T>& states) {
+  states.resize(loaded.work->size());
+  return TryParallelFor(
+      *context_.executor, static_cast<int64_t>(loaded.tiles.size()),
+      [&](int64_t i) {
+        const LoadedTile& tile = loaded.tiles[static_cast<size_t>(i)];
+        if (!tile.is_core && (!with_halo || tile.rows.empty())) {
+          return absl::OkStatus();
+        }
+        return LoadTileStates(tile, kind, states);
+      });
+}
+
+template <typename T>
+absl::Status TileUnits::LoadTileStates(const LoadedTile& tile,
+                                       TileStateKind kind,
+                                       BulkVector<T>& states) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> bytes,
+                            store_.LoadState(tiles_[tile.tile].key, kind));
+  const size_t count = bytes.size() / sizeof(T);
+  const size_t needed =
+      tile.is_core ? tile.end - tile.begin : size_t{tile.rows.back()} + 1;
+  if (count < needed) {
+    return absl::InternalError(
+        absl::StrCat("state of tile ", tiles_[tile.tile].key.ToString(),
+                     " holds ", count, " points, expected ", needed));
+  }
+  if (tile.is_core) {
+    std::memcpy(states.data() + tile.begin, bytes.data(), needed * sizeof(T));
+    return absl::OkStatus();
+  }
+  for (size_t i = 0; i < tile.rows.size(); ++i) {
+    std::memcpy(&states[tile.begin + i],
+                bytes.data() + tile.rows[i] * sizeof(T), sizeof(T));
+  }
+  return absl::OkStatus();
+}
+
+template <typename T>
+absl::Status TileUnits::StoreTileStates(const LoadedTile& tile,
+                                        TileStateKind kind,
+                                        const BulkVector<T>& states) {
+  return store_.StoreState(tiles_[tile.tile].key, kind,
+                           std::as_bytes(std::span(states).subspan(
+                               tile.begin, tile.end - tile.begin)));
+}
+
+template <typename T>
+absl::Status TileUnits::StoreStates(const LoadedUnit& loaded,
+                                    TileStateKind kind,
+                                    const BulkVector<T>& states) {
+  for (const LoadedTile& tile : loaded.tiles) {
+    if (!tile.is_core) continue;
+    MAPSIEVE_RETURN_IF_ERROR(StoreTileStates(tile, kind, states));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace mapsieve::core
+
+#endif  // MAPSIEVE_CORE_SPDF_TILE_UNITS_H_
