@@ -70,6 +70,9 @@ class TileUnits {
   /// The points of the unit's tiles, and others within `margin` steps of them.
   absl::StatusOr<LoadedUnit> Load(const Unit& unit, int64_t margin);
 
+  /// The points of a tile; valid until the next call.
+  absl::StatusOr<std::span<const LatticePoint>> LoadPoints(size_t tile);
+
   /// Fills `states`, one entry a point of the unit: of core tiles, and of the
   /// halo if asked for.
   template <typename T>
