@@ -67,6 +67,23 @@ def shift_las(path, metres):
             file.write(struct.pack("<d", value + metres))
 
 
+def places_of(path, count):
+    """Every so many-th point of a LAS file."""
+    with open(path, "rb") as file:
+        head = file.read(375)
+        data, = struct.unpack_from("<I", head, 96)
+        length, = struct.unpack_from("<H", head, 105)
+        scale = struct.unpack_from("<3d", head, 131)
+        offset = struct.unpack_from("<3d", head, 155)
+        total = (path.stat().st_size - data) // length
+        places = []
+        for i in range(count):
+            file.seek(data + i * total // count * length)
+            q = struct.unpack("<3i", file.read(12))
+            places.append(tuple(q[a] * scale[a] + offset[a] for a in range(3)))
+        return places
+
+
 class Bench:
     def __init__(self, arguments, work):
         self.bin = pathlib.Path(arguments.bin)
@@ -75,7 +92,7 @@ class Bench:
         self.server = Server(self.bin / "mapsieved", work / "data",
                              arguments.memory)
         self.queries = 0
-        self.refused = 0
+        self.failures = []
         self.stopping = threading.Event()
 
     def mapsieve(self, *command):
@@ -94,21 +111,16 @@ class Bench:
         return (time.monotonic() - start, self.server.cpu_s() - cpu, answer)
 
     def keep_asking(self, seed, centers):
-        """Queries around places of the map until the bench stops."""
+        """Raw points around places of the map until the bench stops."""
         choose = random.Random(seed)
         while not self.stopping.is_set():
             x, y, z = choose.choice(centers)
-            raw = [] if choose.random() < 0.5 else ["--raw"]
             try:
-                self.mapsieve("query", "campus", *raw, "--sphere", x, y, z, 20,
-                              "--max-points", 20000, "-o",
-                              self.work / f"answer{seed}.ply")
+                self.mapsieve("query", "campus", "--raw", "--sphere", x, y, z,
+                              10, "-o", self.work / f"answer{seed}.ply")
                 self.queries += 1
             except RuntimeError as error:
-                # Before the first product, or beyond the memory of queries.
-                self.refused += 1
-                if "never processed" not in str(error):
-                    print(error)
+                self.failures.append(str(error))
             time.sleep(0.2)
 
     def run(self):
@@ -121,14 +133,8 @@ class Bench:
         upload_s, upload_cpu, _ = self.timed("upload", "campus", las)
         upload_disk = self.server.disk_bytes()
         las_bytes = las.stat().st_size
+        centers = places_of(las, 1000)
         las.unlink()
-
-        # Places that hold points: every one of a thin sample.
-        sample = self.work / "sample.csv"
-        self.mapsieve("query", "campus", "--raw", "--max-points", 1000, "-o",
-                      sample)
-        rows = sample.read_text().splitlines()[1:]
-        centers = [tuple(map(float, row.split(",")[:3])) for row in rows]
 
         clients = [threading.Thread(target=self.keep_asking,
                                     args=(seed, centers))
@@ -147,6 +153,8 @@ class Bench:
         peak = self.server.peak_mib()
         info = self.mapsieve("info", "campus")
         code = self.server.stop()
+        for failure in sorted(set(self.failures))[:3]:
+            print(failure)
 
         def row(name, value):
             print(f"| {name} | {value} |")
@@ -161,8 +169,8 @@ class Bench:
             f"{points / process_s / 1e6:.2f} M/s, processor "
             f"{process_cpu:.1f} s")
         row("disk traffic of it / LAS", f"{process_disk / las_bytes:.2f}")
-        row("queries meanwhile, answered / refused",
-            f"{self.queries} / {self.refused}")
+        row("queries meanwhile, answered / failed",
+            f"{self.queries} / {len(self.failures)}")
         row("points after the filter", f"{first['point_count']:,}")
         row("appended", f"{added:,} points in {SPOTS} places")
         row("update", f"{update_s:.1f} s ({update_s / process_s:.1%}), "
