@@ -24,6 +24,9 @@ namespace {
 
 /// Measured: the filter's memory for a point of a unit with its halo.
 constexpr int64_t kFilterBytesPerPoint = 150;
+/// Of a tile that is a unit of its own, which may take somewhat more than its
+/// part.
+constexpr int64_t kTileBytesPerPoint = 90;
 
 using storage::ChunkKind;
 using storage::ChunkRef;
@@ -208,6 +211,19 @@ class MapRun {
                      .max_chunk_bytes = limits_.chunk_bytes,
                      .io = &io_,
                      .stop = context_.stop}));
+    return CheckTiles();
+  }
+
+  absl::Status CheckTiles() const {
+    for (const core::TileInfo& tile : tiles_->Tiles()) {
+      if (tile.point_count <= limits_.tile_points) continue;
+      return absl::ResourceExhaustedError(absl::StrCat(
+          "tile ", tile.key.ToString(), " holds ", tile.point_count,
+          " points, more than the ", limits_.tile_points,
+          " that the server's memory can filter at once; give it at least ",
+          (tile.point_count + limits_.tile_points - 1) / limits_.tile_points,
+          " times the --memory, or make the map with smaller tiles"));
+    }
     return absl::OkStatus();
   }
 
@@ -296,6 +312,7 @@ class MapRun {
 
 ProcessLimits ProcessLimits::Of(int64_t memory_bytes) {
   return {.unit_points = memory_bytes / kFilterBytesPerPoint,
+          .tile_points = memory_bytes / kTileBytesPerPoint,
           .pending_bytes = memory_bytes / 16,
           .chunk_bytes = std::min(memory_bytes / 128, int64_t{16} << 20)};
 }

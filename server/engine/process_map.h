@@ -16,11 +16,14 @@ namespace mapsieve::engine {
 struct ProcessLimits {
   /// Points of a unit of tiles that are filtered together.
   int64_t unit_points = 0;
+  /// Points of a tile, duplicates included: a tile is never cut.
+  int64_t tile_points = 0;
   /// Answers that wait to be written.
   int64_t pending_bytes = 0;
   /// Of a decoded chunk.
   int64_t chunk_bytes = 0;
 
+  /// `memory_bytes`: the filter's part of EngineOptions::memory_bytes.
   static ProcessLimits Of(int64_t memory_bytes);
 };
 

@@ -19,8 +19,10 @@ using ::testing::HasSubstr;
 
 constexpr absl::Duration kLong = absl::Minutes(1);
 constexpr absl::Duration kShort = absl::Milliseconds(20);
-constexpr ProcessLimits kProcessLimits = {
-    .unit_points = 2000, .pending_bytes = 1 << 20, .chunk_bytes = 30'000};
+constexpr ProcessLimits kProcessLimits = {.unit_points = 2000,
+                                          .tile_points = 1 << 26,
+                                          .pending_bytes = 1 << 20,
+                                          .chunk_bytes = 30'000};
 
 /// A job manager over a catalogue, whose jobs do what the test says.
 class JobManagerTest : public ::testing::Test {

@@ -32,8 +32,10 @@ constexpr IngestLimits kWideLimits = {.block_bytes = 1 << 26,
                                       .chunk_count = 100'000};
 
 ProcessLimits UnitsOf(int64_t points) {
-  return {
-      .unit_points = points, .pending_bytes = 1 << 20, .chunk_bytes = 30'000};
+  return {.unit_points = points,
+          .tile_points = 1 << 26,
+          .pending_bytes = 1 << 20,
+          .chunk_bytes = 30'000};
 }
 
 struct Cut {
@@ -204,6 +206,18 @@ TEST(PipelineTest, AMillionPointsInOnePlaceAreOnePoint) {
   const std::vector<uint32_t> expected = core::MergeDuplicates(cloud);
   EXPECT_EQ(stored.attributes.Find("number")->Get<int32_t>(0),
             cloud.attributes.Find("number")->Get<int32_t>(expected[0]));
+}
+
+TEST(PipelineTest, ATileThatMemoryCannotHoldIsRefusedWithWhatWouldDo) {
+  Workshop workshop(15);
+  MAPSIEVE_ASSERT_OK(workshop.Add(MakeScene(8), kWideLimits));
+  ProcessLimits limits = UnitsOf(1 << 20);
+  limits.tile_points = 1000;
+  EXPECT_THAT(
+      workshop.Process({}, limits),
+      mapsieve::testing::StatusIs(absl::StatusCode::kResourceExhausted,
+                                  ::testing::HasSubstr("times the --memory")));
+  EXPECT_EQ(workshop.map().newest_revision, 2);
 }
 
 TEST(PipelineTest, UploadOfTooManyTilesIsRefused) {

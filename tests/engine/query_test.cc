@@ -22,8 +22,10 @@ using core::Point3;
 using mapsieve::testing::StatusIs;
 using ::testing::HasSubstr;
 
-constexpr ProcessLimits kProcessLimits = {
-    .unit_points = 1 << 20, .pending_bytes = 1 << 20, .chunk_bytes = 30'000};
+constexpr ProcessLimits kProcessLimits = {.unit_points = 1 << 20,
+                                          .tile_points = 1 << 26,
+                                          .pending_bytes = 1 << 20,
+                                          .chunk_bytes = 30'000};
 
 /// One processed map for all tests of a suite, which only read.
 class RegionQueryTest : public ::testing::Test {

@@ -26,8 +26,10 @@ constexpr IngestLimits kIngest = {.block_bytes = 1 << 26,
                                   .bucket_bytes = 1 << 28,
                                   .chunk_bytes = 1 << 24,
                                   .chunk_count = 100'000};
-constexpr ProcessLimits kProcess = {
-    .unit_points = 3000, .pending_bytes = 1 << 18, .chunk_bytes = 30'000};
+constexpr ProcessLimits kProcess = {.unit_points = 3000,
+                                    .tile_points = 1 << 26,
+                                    .pending_bytes = 1 << 18,
+                                    .chunk_bytes = 30'000};
 
 std::vector<ChunkRef> ChunksOf(Workshop& workshop, ChunkKind kind) {
   const auto snapshot = workshop.store().OpenSnapshot("map");
