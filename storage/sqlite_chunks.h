@@ -29,6 +29,11 @@ absl::StatusOr<RevisionTotals> ApplyChange(SqliteDatabase& database,
                                            const RevisionTotals& parent_totals,
                                            const RevisionChange& change);
 
+/// Gives `map` a revision after its newest one, with the references and tiles
+/// that it had at revision `target`.
+absl::Status RestoreChunks(SqliteDatabase& database, const MapRow& map,
+                           const RevisionRecord& target);
+
 /// These have the contract of the Catalogue function of their name.
 absl::StatusOr<std::vector<ChunkRef>> ListChunks(
     SqliteDatabase& database, const std::string& map_uid, int64_t revision,
