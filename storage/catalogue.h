@@ -130,6 +130,15 @@ class Catalogue {
       const std::optional<core::LatticeBox>& region,
       const std::optional<core::CellKey>& after, int64_t max_count) const = 0;
 
+  /// Up to `max_count` tiles, in Morton order, those after `after`, where one
+  /// of two revisions has a reference of `kind` that the other has not.
+  /// Different references may name the same blobs. kNotFound; kOutOfRange: a
+  /// revision.
+  virtual absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
+      const std::string& map_uid, int64_t revision, int64_t other,
+      ChunkKind kind, const std::optional<core::CellKey>& after,
+      int64_t max_count) const = 0;
+
   /// For each id whether any revision of any map, deleted ones that are not
   /// purged included, refers to it.
   virtual absl::StatusOr<std::vector<bool>> AreBlobsReferenced(

@@ -229,6 +229,15 @@ class SqliteCatalogue final : public Catalogue, private Connections {
                                 max_count);
     });
   }
+  absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
+      const std::string& map_uid, int64_t revision, int64_t other,
+      ChunkKind kind, const std::optional<core::CellKey>& after,
+      int64_t max_count) const override {
+    return Read([&](auto& db) {
+      return storage::ListChangedTiles(db, map_uid, revision, other, kind,
+                                       after, max_count);
+    });
+  }
   absl::StatusOr<std::vector<bool>> AreBlobsReferenced(
       std::span<const BlobId> ids) const override {
     return Read([&](auto& db) { return storage::AreBlobsReferenced(db, ids); });

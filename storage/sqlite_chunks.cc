@@ -514,6 +514,43 @@ absl::StatusOr<std::vector<TileSummary>> ListTiles(
   }
 }
 
+absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
+    SqliteDatabase& database, const std::string& map_uid, int64_t revision,
+    int64_t other, ChunkKind kind, const std::optional<core::CellKey>& after,
+    int64_t max_count) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckPageSize(max_count));
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map,
+                            ReadMapAt(database, map_uid, revision));
+  MAPSIEVE_RETURN_IF_ERROR(CheckRevisionNumber(map, other));
+  auto selection = Select(map, std::nullopt);
+  if (after.has_value()) {
+    MAPSIEVE_RETURN_IF_ERROR(SkipTo(*after, kLast, *selection));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement query,
+      database.Prepare(
+          "SELECT DISTINCT tile_key FROM chunks WHERE map_key = ?1 AND "
+          "kind = ?2 AND (tile_key, number) > (?3, ?4) AND "
+          "(added_revision <= ?5 AND removed_revision > ?5) != "
+          "(added_revision <= ?6 AND removed_revision > ?6) "
+          "ORDER BY tile_key LIMIT ?7"));
+  query.Bind(map.key)
+      .Bind(kind)
+      .BindBlob(selection->from_tile)
+      .Bind(selection->after_number)
+      .Bind(revision)
+      .Bind(other)
+      .Bind(max_count);
+  std::vector<core::CellKey> tiles;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) return tiles;
+    MAPSIEVE_ASSIGN_OR_RETURN(const core::CellKey tile,
+                              TakeTile(database, query));
+    tiles.push_back(tile);
+  }
+}
+
 absl::StatusOr<std::vector<bool>> AreBlobsReferenced(
     SqliteDatabase& database, std::span<const BlobId> ids) {
   std::vector<bool> referenced;

@@ -48,6 +48,10 @@ absl::StatusOr<std::vector<TileSummary>> ListTiles(
     SqliteDatabase& database, const std::string& map_uid, int64_t revision,
     ChunkKind kind, const std::optional<core::LatticeBox>& region,
     const std::optional<core::CellKey>& after, int64_t max_count);
+absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
+    SqliteDatabase& database, const std::string& map_uid, int64_t revision,
+    int64_t other, ChunkKind kind, const std::optional<core::CellKey>& after,
+    int64_t max_count);
 absl::StatusOr<std::vector<bool>> AreBlobsReferenced(
     SqliteDatabase& database, std::span<const BlobId> ids);
 

@@ -206,6 +206,39 @@ TEST_P(CatalogueTest, ARollbackToNoRevisionOrNoMapIsRefused) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("kind")));
 }
 
+TEST_P(CatalogueTest, TilesChangeWhereReferencesDiffer) {
+  const MapRecord map = MakeMap("campus");
+  const auto a = TestChunk(ChunkKind::kRaw, 0, 0, 0, "a", 1);
+  const auto b = TestChunk(ChunkKind::kRaw, 1, 0, 0, "b", 1);
+  const auto c = TestChunk(ChunkKind::kRaw, 0, 1, 0, "c", 1);
+  const auto p = TestChunk(ChunkKind::kProduct, 1, 0, 0, "p", 1);
+  Commit(map, 1, Adding({a, b}));
+  RevisionChange change = Adding({c, p});
+  change.removed = {Chunks(map, 2)[0].number};
+  Commit(map, 2, change);
+  const auto changed = [&](int64_t one, int64_t other, ChunkKind kind) {
+    return *catalogue_->ListChangedTiles(map.uid, one, other, kind,
+                                         std::nullopt, 10);
+  };
+  EXPECT_THAT(changed(1, 2, ChunkKind::kRaw), ElementsAre(a.tile, b.tile));
+  EXPECT_THAT(changed(2, 3, ChunkKind::kRaw), ElementsAre(a.tile, c.tile));
+  EXPECT_THAT(changed(3, 2, ChunkKind::kRaw), ElementsAre(a.tile, c.tile));
+  EXPECT_THAT(changed(1, 3, ChunkKind::kRaw), ElementsAre(b.tile, c.tile));
+  EXPECT_THAT(changed(2, 3, ChunkKind::kProduct), ElementsAre(p.tile));
+  EXPECT_THAT(changed(3, 3, ChunkKind::kRaw), IsEmpty());
+  EXPECT_THAT(*catalogue_->ListChangedTiles(map.uid, 2, 3, ChunkKind::kRaw,
+                                            std::nullopt, 1),
+              ElementsAre(a.tile));
+  EXPECT_THAT(
+      *catalogue_->ListChangedTiles(map.uid, 2, 3, ChunkKind::kRaw, a.tile, 10),
+      ElementsAre(c.tile));
+  for (const auto& [one, other] : {std::pair{0, 2}, {2, 4}}) {
+    EXPECT_THAT(catalogue_->ListChangedTiles(map.uid, one, other,
+                                             ChunkKind::kRaw, std::nullopt, 10),
+                StatusIs(absl::StatusCode::kOutOfRange, HasSubstr("1 to 3")));
+  }
+}
+
 TEST_P(CatalogueTest, ARepeatedRollbackMakesNothing) {
   const MapRecord map = MakeMap("campus");
   const auto chunk = TestChunk(ChunkKind::kRaw, 0, 0, 0, "a", 1);
