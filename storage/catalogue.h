@@ -45,6 +45,10 @@ struct ChunkPosition {
 /// with its parent: a reference belongs to the revisions from the one that
 /// added it up to the one that removed it.
 ///
+/// The history of a revision are the revisions whose changes made it what it
+/// is: itself and that of its parent, or of a rollback, that of the revision
+/// that it restored.
+///
 /// Maps are named by id where they may be named anew, and by uid where the very
 /// same map is meant. Errors besides those named below: kInvalidArgument for
 /// an ill-formed id, a page size below 1 or a record that breaks the limits of
@@ -87,6 +91,17 @@ class Catalogue {
   virtual absl::StatusOr<RevisionRecord> CommitRevision(
       const std::string& map_uid, int64_t expected_parent,
       const RevisionChange& change) = 0;
+  /// Makes a newest revision of kind kRollback that equals revision `number` of
+  /// the map: the same blobs for every kind of chunk in the same order,
+  /// attributes, totals and processed_revision, the same tiles stale, and the
+  /// options of its product as MapRecord::process_options. Chunks that it
+  /// does not share with the newest revision get new references. If the newest
+  /// revision is `number` or a rollback to it, nothing is made and that one is
+  /// returned. kNotFound: the map (or it is deleted); kOutOfRange: the
+  /// revision. Cost: all references that the map ever had.
+  virtual absl::StatusOr<RevisionRecord> RollBack(
+      const std::string& map_uid, int64_t number,
+      const std::string& description) = 0;
   /// kNotFound: the map; kOutOfRange: the revision.
   virtual absl::StatusOr<RevisionRecord> GetRevision(const std::string& map_uid,
                                                      int64_t number) const = 0;
@@ -115,6 +130,15 @@ class Catalogue {
       const std::optional<core::LatticeBox>& region,
       const std::optional<core::CellKey>& after, int64_t max_count) const = 0;
 
+  /// Up to `max_count` tiles, in Morton order, those after `after`, where one
+  /// of two revisions has a reference of `kind` that the other has not.
+  /// Different references may name the same blobs. kNotFound; kOutOfRange: a
+  /// revision.
+  virtual absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
+      const std::string& map_uid, int64_t revision, int64_t other,
+      ChunkKind kind, const std::optional<core::CellKey>& after,
+      int64_t max_count) const = 0;
+
   /// For each id whether any revision of any map, deleted ones that are not
   /// purged included, refers to it.
   virtual absl::StatusOr<std::vector<bool>> AreBlobsReferenced(
@@ -123,8 +147,10 @@ class Catalogue {
   // Uploads.
 
   /// Creates an upload, or returns the one of that id as it is, if its spec is
-  /// the same. kNotFound: the map; kAlreadyExists: the id is taken by an upload
-  /// of another size or hash.
+  /// the same. One whose points a rollback took out of the map again, so that
+  /// its revision is not in the history of the newest one, is replaced by a new
+  /// one. kNotFound: the map; kAlreadyExists: the id is taken by an upload of
+  /// another size or hash.
   virtual absl::StatusOr<UploadRecord> CreateUpload(const std::string& map_uid,
                                                     const UploadSpec& spec) = 0;
   /// kNotFound.

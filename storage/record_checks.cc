@@ -140,11 +140,11 @@ absl::Status CheckChunk(const ChunkRef& chunk, int tile_level) {
 }
 
 absl::Status CheckRevisionChange(const RevisionChange& change, int tile_level) {
-  // A map is created by CreateMap alone.
+  // Only CreateMap creates, and only RollBack rolls back.
   MAPSIEVE_RETURN_IF_ERROR(
       CheckRange("kind", static_cast<int64_t>(change.spec.kind),
                  static_cast<int64_t>(RevisionKind::kUpload),
-                 static_cast<int64_t>(RevisionKind::kRollback)));
+                 static_cast<int64_t>(RevisionKind::kReplaceRegion)));
   MAPSIEVE_RETURN_IF_ERROR(CheckAttributes(change.spec.attributes));
   for (size_t i = 0; i < change.added.size(); ++i) {
     MAPSIEVE_RETURN_IF_ERROR(

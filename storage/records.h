@@ -43,7 +43,8 @@ struct MapRecord {
   absl::Time create_time;
   /// Of the newest revision.
   absl::Time update_time;
-  /// ProductSummary::options of the newest product; empty before the first.
+  /// ProductSummary::options of the newest revision's product; empty if it has
+  /// none.
   std::string process_options;
 };
 
@@ -121,9 +122,12 @@ struct RevisionRecord {
   absl::Time create_time;
   RevisionSpec spec;
   RevisionTotals totals;
-  /// The newest revision up to this one that has a product: the one that
-  /// queries read. 0 if there is none.
+  /// The revision that made the product that this one has, which queries read:
+  /// the newest one up to this one, after a rollback that of the restored one.
+  /// 0 if there is none.
   int64_t processed_revision = 0;
+  /// Of a rollback, the revision that it equals; else 0.
+  int64_t restored_revision = 0;
 };
 
 enum class ChunkKind : uint8_t {

@@ -44,11 +44,52 @@ absl::StatusOr<RevisionRecord> Commit(SqliteDatabase& database,
                             ApplyChange(database, map, parent.totals, change));
   MAPSIEVE_RETURN_IF_ERROR(InsertRevision(database, map.key, revision));
   MAPSIEVE_RETURN_IF_ERROR(SetNewestRevision(database, map.key, revision));
+  if (change.spec.product.has_value()) {
+    MAPSIEVE_RETURN_IF_ERROR(
+        SetProcessOptions(database, map.key, change.spec.product->options));
+  }
   if (!change.finalized_upload_uid.empty()) {
     MAPSIEVE_RETURN_IF_ERROR(FinalizeUpload(database, map_uid,
                                             change.finalized_upload_uid,
                                             revision, change.upload_report));
   }
+  return revision;
+}
+
+absl::StatusOr<RevisionRecord> RollBackTo(SqliteDatabase& database,
+                                          const std::string& map_uid,
+                                          int64_t number,
+                                          const std::string& description) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map, ReadLivingMap(database, map_uid));
+  MAPSIEVE_ASSIGN_OR_RETURN(const RevisionRecord target,
+                            ReadRevision(database, map, number));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const RevisionRecord newest,
+      ReadRevision(database, map, map.record.newest_revision));
+  if (newest.number == number || newest.restored_revision == number) {
+    return newest;
+  }
+  std::string options;
+  if (target.processed_revision != 0) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const RevisionRecord processed,
+        ReadRevision(database, map, target.processed_revision));
+    options = processed.spec.product.value_or(ProductSummary()).options;
+  }
+  const RevisionRecord revision = {
+      .number = newest.number + 1,
+      .parent = newest.number,
+      .create_time = absl::Now(),
+      .spec = {.kind = RevisionKind::kRollback,
+               .description = description,
+               .attributes = target.spec.attributes},
+      .totals = target.totals,
+      .processed_revision = target.processed_revision,
+      .restored_revision = number};
+  MAPSIEVE_RETURN_IF_ERROR(RestoreChunks(database, map, target));
+  MAPSIEVE_RETURN_IF_ERROR(InsertRevision(database, map.key, revision));
+  MAPSIEVE_RETURN_IF_ERROR(SetNewestRevision(database, map.key, revision));
+  MAPSIEVE_RETURN_IF_ERROR(SetProcessOptions(database, map.key, options));
   return revision;
 }
 
@@ -140,6 +181,12 @@ class SqliteCatalogue final : public Catalogue, private Connections {
     return Write(
         [&](auto& db) { return Commit(db, map_uid, expected_parent, change); });
   }
+  absl::StatusOr<RevisionRecord> RollBack(
+      const std::string& map_uid, int64_t number,
+      const std::string& description) override {
+    return Write(
+        [&](auto& db) { return RollBackTo(db, map_uid, number, description); });
+  }
   absl::StatusOr<RevisionRecord> GetRevision(const std::string& map_uid,
                                              int64_t number) const override {
     return Read([&](auto& db) -> absl::StatusOr<RevisionRecord> {
@@ -180,6 +227,15 @@ class SqliteCatalogue final : public Catalogue, private Connections {
     return Read([&](auto& db) {
       return storage::ListTiles(db, map_uid, revision, kind, region, after,
                                 max_count);
+    });
+  }
+  absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
+      const std::string& map_uid, int64_t revision, int64_t other,
+      ChunkKind kind, const std::optional<core::CellKey>& after,
+      int64_t max_count) const override {
+    return Read([&](auto& db) {
+      return storage::ListChangedTiles(db, map_uid, revision, other, kind,
+                                       after, max_count);
     });
   }
   absl::StatusOr<std::vector<bool>> AreBlobsReferenced(

@@ -374,6 +374,75 @@ absl::StatusOr<RevisionTotals> ApplyChange(SqliteDatabase& database,
   return Change(database, map, parent_totals).Apply(change);
 }
 
+absl::Status RestoreChunks(SqliteDatabase& database, const MapRow& map,
+                           const RevisionRecord& target) {
+  const int64_t revision = map.record.newest_revision + 1;
+  {
+    // Where a chunk of the target is gone, all chunks of that kind and tile
+    // get new references: their order, which is that of the numbers, stays.
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        SqliteStatement update,
+        database.Prepare(
+            "UPDATE chunks SET removed_revision = ?3 WHERE map_key = ?1 AND "
+            "removed_revision = ?4 AND (added_revision > ?2 OR "
+            "(kind, tile_key) IN (SELECT kind, tile_key FROM chunks WHERE "
+            "map_key = ?1 AND added_revision <= ?2 AND "
+            "removed_revision > ?2 AND removed_revision < ?3))"));
+    MAPSIEVE_RETURN_IF_ERROR(update.Bind(map.key)
+                                 .Bind(target.number)
+                                 .Bind(revision)
+                                 .Bind(kNever)
+                                 .Run());
+  }
+  {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        SqliteStatement insert,
+        database.Prepare(absl::StrCat(
+            "INSERT INTO chunks (map_key, added_revision, kind, blob_id, "
+            "tile_key, ",
+            kNumberColumns, ") SELECT map_key, ?3, kind, blob_id, tile_key, ",
+            kNumberColumns,
+            " FROM chunks WHERE map_key = ?1 AND added_revision <= ?2 AND "
+            "removed_revision > ?2 AND removed_revision <= ?3 "
+            "ORDER BY number")));
+    MAPSIEVE_RETURN_IF_ERROR(
+        insert.Bind(map.key).Bind(target.number).Bind(revision).Run());
+  }
+  {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        SqliteStatement remove,
+        database.Prepare("DELETE FROM tiles WHERE map_key = ?"));
+    MAPSIEVE_RETURN_IF_ERROR(remove.Bind(map.key).Run());
+  }
+  // The tiles as they were: what changed their points last is in the history
+  // of the target, and the product took in those that had points when it was
+  // made.
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement insert,
+      database.Prepare(absl::StrCat(
+          "WITH RECURSIVE ", kHistory,
+          ", changes (number) AS (SELECT number FROM revisions WHERE "
+          "map_key = ?1 AND restored_revision = 0 AND "
+          "number IN (SELECT number FROM history)) "
+          "INSERT INTO tiles (map_key, tile_key, raw_chunk_count, "
+          "raw_revision, product_revision) SELECT map_key, tile_key, "
+          "count(*) FILTER (WHERE added_revision <= ?2 AND "
+          "removed_revision > ?2) AS raw_chunk_count, "
+          "max(max(iif(added_revision IN changes, added_revision, 0), "
+          "iif(removed_revision IN changes, removed_revision, 0))) "
+          "AS raw_revision, "
+          "iif(count(*) FILTER (WHERE added_revision <= ?3 AND "
+          "removed_revision > ?3) > 0, ?3, 0) AS product_revision "
+          "FROM chunks WHERE map_key = ?1 AND kind = ?4 GROUP BY tile_key "
+          "HAVING raw_chunk_count > 0 OR "
+          "(product_revision > 0 AND product_revision < raw_revision)")));
+  return insert.Bind(map.key)
+      .Bind(target.number)
+      .Bind(target.processed_revision)
+      .Bind(ChunkKind::kRaw)
+      .Run();
+}
+
 absl::StatusOr<std::vector<ChunkRef>> ListChunks(
     SqliteDatabase& database, const std::string& map_uid, int64_t revision,
     ChunkKind kind, const std::optional<core::LatticeBox>& region,
@@ -435,6 +504,43 @@ absl::StatusOr<std::vector<TileSummary>> ListTiles(
     query.TakeCount(tile.chunk_count);
     VisitNumbers(tile, [&](int64_t& field) { query.Take(field); });
     MAPSIEVE_RETURN_IF_ERROR(query.status());
+    tiles.push_back(tile);
+  }
+}
+
+absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
+    SqliteDatabase& database, const std::string& map_uid, int64_t revision,
+    int64_t other, ChunkKind kind, const std::optional<core::CellKey>& after,
+    int64_t max_count) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckPageSize(max_count));
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map,
+                            ReadMapAt(database, map_uid, revision));
+  MAPSIEVE_RETURN_IF_ERROR(CheckRevisionNumber(map, other));
+  auto selection = Select(map, std::nullopt);
+  if (after.has_value()) {
+    MAPSIEVE_RETURN_IF_ERROR(SkipTo(*after, kLast, *selection));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement query,
+      database.Prepare(
+          "SELECT DISTINCT tile_key FROM chunks WHERE map_key = ?1 AND "
+          "kind = ?2 AND (tile_key, number) > (?3, ?4) AND "
+          "(added_revision <= ?5 AND removed_revision > ?5) != "
+          "(added_revision <= ?6 AND removed_revision > ?6) "
+          "ORDER BY tile_key LIMIT ?7"));
+  query.Bind(map.key)
+      .Bind(kind)
+      .BindBlob(selection->from_tile)
+      .Bind(selection->after_number)
+      .Bind(revision)
+      .Bind(other)
+      .Bind(max_count);
+  std::vector<core::CellKey> tiles;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) return tiles;
+    MAPSIEVE_ASSIGN_OR_RETURN(const core::CellKey tile,
+                              TakeTile(database, query));
     tiles.push_back(tile);
   }
 }

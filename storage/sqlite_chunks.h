@@ -29,6 +29,11 @@ absl::StatusOr<RevisionTotals> ApplyChange(SqliteDatabase& database,
                                            const RevisionTotals& parent_totals,
                                            const RevisionChange& change);
 
+/// Gives `map` a revision after its newest one, with the references and tiles
+/// that it had at revision `target`.
+absl::Status RestoreChunks(SqliteDatabase& database, const MapRow& map,
+                           const RevisionRecord& target);
+
 /// These have the contract of the Catalogue function of their name.
 absl::StatusOr<std::vector<ChunkRef>> ListChunks(
     SqliteDatabase& database, const std::string& map_uid, int64_t revision,
@@ -43,6 +48,10 @@ absl::StatusOr<std::vector<TileSummary>> ListTiles(
     SqliteDatabase& database, const std::string& map_uid, int64_t revision,
     ChunkKind kind, const std::optional<core::LatticeBox>& region,
     const std::optional<core::CellKey>& after, int64_t max_count);
+absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
+    SqliteDatabase& database, const std::string& map_uid, int64_t revision,
+    int64_t other, ChunkKind kind, const std::optional<core::CellKey>& after,
+    int64_t max_count);
 absl::StatusOr<std::vector<bool>> AreBlobsReferenced(
     SqliteDatabase& database, std::span<const BlobId> ids);
 

@@ -47,8 +47,9 @@ absl::StatusOr<MapRow> TakeMap(SqliteStatement& row) {
 // In the order of TakeRevision.
 constexpr char kRevisionColumns[] =
     "number, kind, create_time, description, attributes, refused_non_finite, "
-    "refused_out_of_lattice, processed_revision, raw_point_count, "
-    "raw_chunk_count, product_point_count, product_chunk_count, none_count, "
+    "refused_out_of_lattice, processed_revision, restored_revision, "
+    "raw_point_count, raw_chunk_count, product_point_count, "
+    "product_chunk_count, none_count, "
     "junction_count, curve_count, surface_count, stored_bytes, tile_count, "
     "stale_tile_count, min_x, min_y, min_z, max_x, max_y, max_z, "
     "product_options, distinct_point_count, kept_none, kept_junction, "
@@ -56,7 +57,7 @@ constexpr char kRevisionColumns[] =
     "max_confidence_curve, max_confidence_surface";
 constexpr char kRevisionParameters[] =
     "?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, "
-    "?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?";
+    "?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?";
 
 template <typename Totals, typename Visit>
 void VisitTotals(Totals& totals, const Visit& visit) {
@@ -96,7 +97,8 @@ absl::StatusOr<RevisionRecord> TakeRevision(SqliteStatement& row) {
       .TakeBlob(attributes)
       .TakeCount(spec.refused.non_finite)
       .TakeCount(spec.refused.out_of_lattice)
-      .TakeCount(revision.processed_revision);
+      .TakeCount(revision.processed_revision)
+      .TakeCount(revision.restored_revision);
   revision.parent = revision.number - 1;
   const auto take_count = [&](int64_t& count) { row.TakeCount(count); };
   VisitTotals(revision.totals, take_count);
@@ -310,7 +312,8 @@ absl::Status InsertRevision(SqliteDatabase& database, int64_t map_key,
       .BindBlob(EncodeAttributes(spec.attributes))
       .Bind(spec.refused.non_finite)
       .Bind(spec.refused.out_of_lattice)
-      .Bind(revision.processed_revision);
+      .Bind(revision.processed_revision)
+      .Bind(revision.restored_revision);
   const auto bind = [&](int64_t value) { insert.Bind(value); };
   VisitTotals(revision.totals, bind);
   VisitBounds(revision.totals, bind);
@@ -329,14 +332,6 @@ absl::Status InsertRevision(SqliteDatabase& database, int64_t map_key,
 
 absl::Status SetNewestRevision(SqliteDatabase& database, int64_t map_key,
                                const RevisionRecord& revision) {
-  if (revision.spec.product.has_value()) {
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        SqliteStatement update,
-        database.Prepare(
-            "UPDATE maps SET process_options = ? WHERE map_key = ?"));
-    MAPSIEVE_RETURN_IF_ERROR(
-        update.BindBlob(revision.spec.product->options).Bind(map_key).Run());
-  }
   MAPSIEVE_ASSIGN_OR_RETURN(
       SqliteStatement update,
       database.Prepare("UPDATE maps SET newest_revision = ?, update_time = ? "
@@ -345,6 +340,28 @@ absl::Status SetNewestRevision(SqliteDatabase& database, int64_t map_key,
       .Bind(revision.create_time)
       .Bind(map_key)
       .Run();
+}
+
+absl::Status SetProcessOptions(SqliteDatabase& database, int64_t map_key,
+                               const std::string& options) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement update,
+      database.Prepare("UPDATE maps SET process_options = ? WHERE "
+                       "map_key = ?"));
+  return update.BindBlob(options).Bind(map_key).Run();
+}
+
+absl::StatusOr<bool> IsInHistory(SqliteDatabase& database, const MapRow& map,
+                                 int64_t number) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement query,
+      database.Prepare(absl::StrCat("WITH RECURSIVE ", kHistory,
+                                    " SELECT 1 FROM history WHERE "
+                                    "number = ?3")));
+  return query.Bind(map.key)
+      .Bind(map.record.newest_revision)
+      .Bind(number)
+      .Step();
 }
 
 absl::StatusOr<std::vector<RevisionRecord>> ListRevisions(

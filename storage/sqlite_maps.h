@@ -18,6 +18,14 @@ template <>
 inline constexpr int64_t kLargestEnumerator<RevisionKind> =
     static_cast<int64_t>(RevisionKind::kRollback);
 
+/// A table expression, of one column `number`: the history of revision ?2 of
+/// the map with the key ?1.
+inline constexpr char kHistory[] =
+    "history (number) AS (VALUES (?2) UNION "
+    "SELECT iif(restored_revision > 0, restored_revision, history.number - 1) "
+    "FROM history JOIN revisions ON revisions.map_key = ?1 AND "
+    "revisions.number = history.number WHERE history.number > 1)";
+
 struct MapRow {
   int64_t key = 0;
   bool deleted = false;
@@ -54,6 +62,11 @@ absl::Status InsertRevision(SqliteDatabase& database, int64_t map_key,
 /// Makes `revision` the newest of the map.
 absl::Status SetNewestRevision(SqliteDatabase& database, int64_t map_key,
                                const RevisionRecord& revision);
+absl::Status SetProcessOptions(SqliteDatabase& database, int64_t map_key,
+                               const std::string& options);
+/// Whether `number` is in the history of the newest revision of the map.
+absl::StatusOr<bool> IsInHistory(SqliteDatabase& database, const MapRow& map,
+                                 int64_t number);
 absl::StatusOr<std::vector<RevisionRecord>> ListRevisions(
     SqliteDatabase& database, const std::string& map_uid, int64_t before,
     int64_t max_count);

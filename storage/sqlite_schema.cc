@@ -10,7 +10,7 @@ namespace {
 
 // "msve": marks the database as ours.
 constexpr int64_t kApplicationId = 0x6d737665;
-constexpr int64_t kSchemaVersion = 1;
+constexpr int64_t kSchemaVersion = 2;
 
 // FORMAT.md explains every table and column.
 constexpr char kSchema[] = R"sql(
@@ -40,6 +40,7 @@ CREATE TABLE revisions (
   refused_non_finite INTEGER NOT NULL,
   refused_out_of_lattice INTEGER NOT NULL,
   processed_revision INTEGER NOT NULL,
+  restored_revision INTEGER NOT NULL,
   raw_point_count INTEGER NOT NULL,
   raw_chunk_count INTEGER NOT NULL,
   product_point_count INTEGER NOT NULL,

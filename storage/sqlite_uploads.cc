@@ -83,12 +83,19 @@ absl::StatusOr<UploadRecord> CreateUpload(SqliteDatabase& database,
   MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map, ReadLivingMap(database, map_uid));
   auto existing = GetUpload(database, map_uid, spec.id);
   if (existing.ok()) {
-    if (existing->spec == spec) return existing;
-    return absl::AlreadyExistsError(
-        absl::StrCat("upload ", spec.id, " of map ", map.record.spec.id,
-                     " exists already, with another size or content hash"));
+    if (!(existing->spec == spec)) {
+      return absl::AlreadyExistsError(
+          absl::StrCat("upload ", spec.id, " of map ", map.record.spec.id,
+                       " exists already, with another size or content hash"));
+    }
+    if (existing->state != UploadState::kFinalized) return existing;
+    MAPSIEVE_ASSIGN_OR_RETURN(const bool is_there,
+                              IsInHistory(database, map, existing->revision));
+    if (is_there) return existing;
+    MAPSIEVE_RETURN_IF_ERROR(DeleteUpload(database, existing->uid));
+  } else if (!absl::IsNotFound(existing.status())) {
+    return existing;
   }
-  if (!absl::IsNotFound(existing.status())) return existing;
 
   const absl::Time now = absl::Now();
   {

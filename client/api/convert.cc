@@ -11,6 +11,49 @@ void ToProto(const core::Point3& p, v1::Vector3* v) {
   v->set_z(p.z);
 }
 
+template <typename Request>
+void SetRegionOf(Request& request, const Region& region) {
+  if (const auto* box = std::get_if<BoxRegion>(&region)) {
+    ToProto(box->min, request.mutable_box()->mutable_min());
+    ToProto(box->max, request.mutable_box()->mutable_max());
+  } else if (const auto* sphere = std::get_if<SphereRegion>(&region)) {
+    ToProto(sphere->center, request.mutable_sphere()->mutable_center());
+    request.mutable_sphere()->set_radius(sphere->radius);
+  }
+}
+
+RevisionKind FromProto(v1::Revision::Kind kind) {
+  switch (kind) {
+    case v1::Revision::KIND_CREATE:
+      return RevisionKind::kCreate;
+    case v1::Revision::KIND_UPLOAD:
+      return RevisionKind::kUpload;
+    case v1::Revision::KIND_PROCESS:
+      return RevisionKind::kProcess;
+    case v1::Revision::KIND_DELETE_REGION:
+      return RevisionKind::kDeleteRegion;
+    case v1::Revision::KIND_REPLACE_REGION:
+      return RevisionKind::kReplaceRegion;
+    case v1::Revision::KIND_ROLLBACK:
+      return RevisionKind::kRollback;
+    default:
+      return RevisionKind::kUnknown;
+  }
+}
+
+TileChangeKind FromProto(v1::TileChange::Change change) {
+  switch (change) {
+    case v1::TileChange::CHANGE_ADDED:
+      return TileChangeKind::kAdded;
+    case v1::TileChange::CHANGE_REMOVED:
+      return TileChangeKind::kRemoved;
+    case v1::TileChange::CHANGE_CHANGED:
+      return TileChangeKind::kChanged;
+    default:
+      return TileChangeKind::kNone;
+  }
+}
+
 core::LabelCounts FromProto(const v1::LabelCounts& counts) {
   return {counts.none(), counts.junction(), counts.curve(), counts.surface()};
 }
@@ -100,6 +143,7 @@ UploadReport FromProto(const v1::UploadReport& report) {
       .added_point_count = report.added_point_count(),
       .refused_non_finite_count = report.refused_non_finite_count(),
       .refused_out_of_lattice_count = report.refused_out_of_lattice_count(),
+      .removed_point_count = report.removed_point_count(),
       .tile_count = report.tile_count()};
   if (report.has_bounds()) result.bounds = FromProto(report.bounds());
   return result;
@@ -126,6 +170,54 @@ OperationInfo FromProto(const v1::Operation& operation) {
     result.total_work = metadata.total_work();
   }
   return result;
+}
+
+RevisionInfo FromProto(const v1::Revision& revision) {
+  RevisionInfo result = {
+      .number = revision.number(),
+      .kind = FromProto(revision.kind()),
+      .create_time = absl::FromUnixSeconds(revision.create_time().seconds()) +
+                     absl::Nanoseconds(revision.create_time().nanos()),
+      .restored_revision = revision.restored_revision(),
+      .added_point_count = revision.added_point_count(),
+      .removed_point_count = revision.removed_point_count(),
+      .raw_point_count = revision.raw_point_count(),
+      .processed_revision = revision.processed_revision(),
+      .point_count = revision.point_count(),
+      .label_counts = FromProto(revision.label_counts()),
+      .stored_bytes = revision.stored_bytes(),
+      .tile_count = revision.tile_count(),
+      .stale_tile_count = revision.stale_tile_count()};
+  if (!revision.upload().empty()) {
+    result.upload_id = LastSegment(revision.upload());
+  }
+  if (revision.has_box()) {
+    result.region = BoxRegion{FromProto(revision.box().min()),
+                              FromProto(revision.box().max())};
+  } else if (revision.has_sphere()) {
+    result.region = SphereRegion{FromProto(revision.sphere().center()),
+                                 revision.sphere().radius()};
+  }
+  if (revision.has_options()) result.options = FromProto(revision.options());
+  return result;
+}
+
+TileChange FromProto(const v1::TileChange& change) {
+  return {.tile = {change.x(), change.y(), change.z()},
+          .raw = FromProto(change.raw()),
+          .product = FromProto(change.product()),
+          .base_raw_point_count = change.base_raw_point_count(),
+          .target_raw_point_count = change.target_raw_point_count(),
+          .base_label_counts = FromProto(change.base_label_counts()),
+          .target_label_counts = FromProto(change.target_label_counts())};
+}
+
+void SetRegion(const Region& region, v1::FinalizeUploadRequest& request) {
+  SetRegionOf(request, region);
+}
+
+void SetRegion(const Region& region, v1::DeleteRegionRequest& request) {
+  SetRegionOf(request, region);
 }
 
 QueryHeader FromProto(const v1::QueryHeader& header) {
@@ -170,13 +262,7 @@ v1::QueryRegionRequest ToProto(const QuerySpec& spec) {
   v1::QueryRegionRequest request;
   request.set_name(MapName(spec.map_id));
   request.set_revision(spec.revision);
-  if (const auto* box = std::get_if<BoxRegion>(&spec.region)) {
-    ToProto(box->min, request.mutable_box()->mutable_min());
-    ToProto(box->max, request.mutable_box()->mutable_max());
-  } else if (const auto* sphere = std::get_if<SphereRegion>(&spec.region)) {
-    ToProto(sphere->center, request.mutable_sphere()->mutable_center());
-    request.mutable_sphere()->set_radius(sphere->radius);
-  }
+  SetRegionOf(request, spec.region);
   for (const core::Label label : spec.labels) {
     request.add_labels(static_cast<v1::Label>(label));
   }

@@ -31,6 +31,13 @@ OperationInfo FromProto(const v1::Operation& operation);
 QueryHeader FromProto(const v1::QueryHeader& header);
 QuerySummary FromProto(const v1::QuerySummary& summary);
 
+RevisionInfo FromProto(const v1::Revision& revision);
+TileChange FromProto(const v1::TileChange& change);
+
+/// Sets the field `region` of a request; nothing leaves it unset.
+void SetRegion(const Region& region, v1::FinalizeUploadRequest& request);
+void SetRegion(const Region& region, v1::DeleteRegionRequest& request);
+
 v1::SpdfOptions ToProto(const ProcessOptions& options);
 v1::QueryRegionRequest ToProto(const QuerySpec& spec);
 

@@ -25,6 +25,8 @@ namespace {
 constexpr size_t kPieceBytes = 1 << 20;
 /// Seconds of one WaitOperation: how often progress is seen.
 constexpr int kWaitSeconds = 1;
+constexpr int64_t kRevisionsOfAPage = 1000;
+constexpr int kTilesOfAPage = 1000;
 
 /// Length and hash of all blocks of a source.
 struct Digest {
@@ -296,9 +298,13 @@ absl::StatusOr<google::protobuf::Any> MapClient::Connection::Wait(
   }
 }
 
-absl::StatusOr<UploadReport> MapClient::Upload(
-    const std::string& map_id, BlockSource& source,
-    const ProgressCallback& progress) {
+absl::StatusOr<UploadReport> MapClient::Upload(const std::string& map_id,
+                                               BlockSource& source,
+                                               const ProgressCallback& progress,
+                                               const Region& region) {
+  v1::FinalizeUploadRequest finalize;
+  SetRegion(region, finalize);
+  const std::string region_bytes = finalize.SerializeAsString();
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, GetMap(map_id));
   KeptBlocks blocks(source);
   MAPSIEVE_ASSIGN_OR_RETURN(const Digest digest, DigestOf(blocks));
@@ -307,8 +313,9 @@ absl::StatusOr<UploadReport> MapClient::Upload(
     grpc::ClientContext context;
     v1::CreateUploadRequest request;
     request.set_parent(MapName(map_id));
-    // The same bytes for the same map are the same upload.
-    request.set_upload_id(ContentHash(TextBytes(map.uid + digest.hash)));
+    // The same bytes for the same region of the same map are the same upload.
+    request.set_upload_id(
+        ContentHash(TextBytes(map.uid + digest.hash + region_bytes)));
     request.mutable_upload()->set_expected_bytes(digest.bytes);
     request.mutable_upload()->set_content_hash(digest.hash);
     request.mutable_upload()->set_refused_non_finite_count(
@@ -334,10 +341,9 @@ absl::StatusOr<UploadReport> MapClient::Upload(
   v1::Operation operation;
   {
     grpc::ClientContext context;
-    v1::FinalizeUploadRequest request;
-    request.set_name(upload.name());
+    finalize.set_name(upload.name());
     MAPSIEVE_RETURN_IF_ERROR(ToStatus(
-        connection_->uploads->FinalizeUpload(&context, request, &operation)));
+        connection_->uploads->FinalizeUpload(&context, finalize, &operation)));
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const google::protobuf::Any result,
                             connection_->Wait(operation.name(), {}));
@@ -349,6 +355,86 @@ absl::StatusOr<UploadReport> MapClient::Upload(
   report.upload_bytes = digest.bytes;
   report.sent_bytes = sent;
   return report;
+}
+
+absl::StatusOr<std::vector<RevisionInfo>> MapClient::ListRevisions(
+    const std::string& map_id, int64_t max_count) {
+  std::vector<RevisionInfo> revisions;
+  v1::ListRevisionsRequest request;
+  request.set_parent(MapName(map_id));
+  do {
+    const int64_t missing = max_count - static_cast<int64_t>(revisions.size());
+    if (missing <= 0) break;
+    request.set_page_size(
+        static_cast<int32_t>(std::min(missing, kRevisionsOfAPage)));
+    grpc::ClientContext context;
+    v1::ListRevisionsResponse response;
+    MAPSIEVE_RETURN_IF_ERROR(ToStatus(
+        connection_->maps->ListRevisions(&context, request, &response)));
+    for (const v1::Revision& revision : response.revisions()) {
+      revisions.push_back(FromProto(revision));
+    }
+    request.set_page_token(response.next_page_token());
+  } while (!request.page_token().empty());
+  return revisions;
+}
+
+absl::StatusOr<ComparedRevisions> MapClient::CompareRevisions(
+    const std::string& map_id, int64_t base, int64_t target,
+    const std::function<absl::Status(const TileChange&)>& visit) {
+  ComparedRevisions compared;
+  v1::CompareRevisionsRequest request;
+  request.set_name(MapName(map_id));
+  request.set_base_revision(base);
+  request.set_target_revision(target);
+  request.set_page_size(kTilesOfAPage);
+  do {
+    grpc::ClientContext context;
+    v1::CompareRevisionsResponse response;
+    MAPSIEVE_RETURN_IF_ERROR(ToStatus(
+        connection_->maps->CompareRevisions(&context, request, &response)));
+    compared = {FromProto(response.base()), FromProto(response.target())};
+    for (const v1::TileChange& change : response.tiles()) {
+      MAPSIEVE_RETURN_IF_ERROR(visit(FromProto(change)));
+    }
+    request.set_page_token(response.next_page_token());
+  } while (!request.page_token().empty());
+  return compared;
+}
+
+absl::StatusOr<DeleteReport> MapClient::DeleteRegion(
+    const std::string& map_id, const Region& region,
+    const ProgressCallback& progress) {
+  v1::Operation operation;
+  {
+    grpc::ClientContext context;
+    v1::DeleteRegionRequest request;
+    request.set_name(MapName(map_id));
+    SetRegion(region, request);
+    MAPSIEVE_RETURN_IF_ERROR(ToStatus(
+        connection_->maps->DeleteRegion(&context, request, &operation)));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const google::protobuf::Any result,
+                            connection_->Wait(operation.name(), progress));
+  v1::DeleteRegionResponse response;
+  if (!result.UnpackTo(&response)) {
+    return absl::InternalError("the server's result is of another type");
+  }
+  return DeleteReport{.revision = response.revision(),
+                      .removed_point_count = response.removed_point_count(),
+                      .tile_count = response.tile_count()};
+}
+
+absl::StatusOr<RevisionInfo> MapClient::RollBack(const std::string& map_id,
+                                                 int64_t revision) {
+  grpc::ClientContext context;
+  v1::RollBackMapRequest request;
+  request.set_name(MapName(map_id));
+  request.set_revision(revision);
+  v1::Revision made;
+  MAPSIEVE_RETURN_IF_ERROR(
+      ToStatus(connection_->maps->RollBackMap(&context, request, &made)));
+  return FromProto(made);
 }
 
 absl::StatusOr<std::string> MapClient::StartProcess(

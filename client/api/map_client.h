@@ -54,10 +54,33 @@ class MapClient {
 
   /// Adds the points of `source` to a map and returns when they are durable
   /// parts of it. Resumes an upload of the same bytes that broke off; an upload
-  /// that was finished before adds nothing. `progress` counts durable bytes.
+  /// that was finished before adds nothing, unless a rollback took its points
+  /// out again. `progress` counts durable bytes. `region`: they take the place
+  /// of the raw points that the map has there, in one revision; to the map the
+  /// same points with another region are another upload.
   absl::StatusOr<UploadReport> Upload(const std::string& map_id,
                                       BlockSource& source,
-                                      const ProgressCallback& progress = {});
+                                      const ProgressCallback& progress = {},
+                                      const Region& region = {});
+
+  /// Up to `max_count` revisions, newest first. kNotFound.
+  absl::StatusOr<std::vector<RevisionInfo>> ListRevisions(
+      const std::string& map_id, int64_t max_count);
+  /// Calls `visit` for each tile that differs between two revisions, in Morton
+  /// order. kNotFound; kOutOfRange: a revision that the map has not.
+  absl::StatusOr<ComparedRevisions> CompareRevisions(
+      const std::string& map_id, int64_t base, int64_t target,
+      const std::function<absl::Status(const TileChange&)>& visit);
+  /// Takes the raw points of a region out of a map and waits until that is
+  /// done. kNotFound, kInvalidArgument. `progress` counts chunks.
+  absl::StatusOr<DeleteReport> DeleteRegion(
+      const std::string& map_id, const Region& region,
+      const ProgressCallback& progress = {});
+  /// Makes a revision that equals `revision`; the newest one is returned if it
+  /// is that, or a rollback to it. kNotFound; kOutOfRange; kAborted: an
+  /// operation on the map is going on.
+  absl::StatusOr<RevisionInfo> RollBack(const std::string& map_id,
+                                        int64_t revision);
 
   /// Starts the filter over a map and returns the operation's id. No options:
   /// those of the map's last run. kFailedPrecondition (empty map), kAborted (a

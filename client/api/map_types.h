@@ -8,6 +8,7 @@
 #include <variant>
 #include <vector>
 
+#include "absl/time/time.h"
 #include "core/cloud/column.h"
 #include "core/cloud/label.h"
 #include "core/geometry/lattice.h"
@@ -88,6 +89,8 @@ struct UploadReport {
   int64_t added_point_count = 0;
   int64_t refused_non_finite_count = 0;
   int64_t refused_out_of_lattice_count = 0;
+  /// Raw points of the region that was replaced.
+  int64_t removed_point_count = 0;
   int64_t tile_count = 0;
   std::optional<Bounds> bounds;
   /// The same points had been uploaded before: nothing was added now.
@@ -120,6 +123,85 @@ struct SphereRegion {
   double radius = 0;
 };
 
+/// A part of a map, or nothing.
+using Region = std::variant<std::monostate, BoxRegion, SphereRegion>;
+
+/// What deleting a region did.
+struct DeleteReport {
+  /// The revision without the points; the newest one if there were none.
+  int64_t revision = 0;
+  /// 0: no revision was made.
+  int64_t removed_point_count = 0;
+  /// Tiles that lost points.
+  int64_t tile_count = 0;
+};
+
+enum class RevisionKind {
+  /// Of a newer server.
+  kUnknown,
+  kCreate,
+  kUpload,
+  kProcess,
+  kDeleteRegion,
+  kReplaceRegion,
+  kRollback,
+};
+
+/// A committed state of a map, and what made it.
+struct RevisionInfo {
+  int64_t number = 0;
+  RevisionKind kind = RevisionKind::kUnknown;
+  absl::Time create_time;
+  /// Of kUpload and kReplaceRegion.
+  std::string upload_id;
+  /// Of kDeleteRegion and kReplaceRegion.
+  Region region;
+  /// Of kProcess.
+  std::optional<ProcessOptions> options;
+  /// Of kRollback: the revision that it equals.
+  int64_t restored_revision = 0;
+  /// Of kRollback the difference of the counts.
+  int64_t added_point_count = 0;
+  int64_t removed_point_count = 0;
+  int64_t raw_point_count = 0;
+  /// That queries of this one answer from; 0: none.
+  int64_t processed_revision = 0;
+  /// Points that a query of the whole revision returns.
+  int64_t point_count = 0;
+  core::LabelCounts label_counts{};
+  int64_t stored_bytes = 0;
+  int64_t tile_count = 0;
+  int64_t stale_tile_count = 0;
+};
+
+/// What happened to the points of one kind in a tile.
+enum class TileChangeKind {
+  /// The same points, or none before and after.
+  kNone,
+  kAdded,
+  kRemoved,
+  kChanged,
+};
+
+/// How a tile differs between two revisions.
+struct TileChange {
+  /// It holds the lattice points q with q >> MapInfo::tile_level equal to this.
+  core::LatticePoint tile;
+  TileChangeKind raw = TileChangeKind::kNone;
+  TileChangeKind product = TileChangeKind::kNone;
+  int64_t base_raw_point_count = 0;
+  int64_t target_raw_point_count = 0;
+  /// Outliers included.
+  core::LabelCounts base_label_counts{};
+  core::LabelCounts target_label_counts{};
+};
+
+/// Two revisions compared.
+struct ComparedRevisions {
+  RevisionInfo base;
+  RevisionInfo target;
+};
+
 /// What the filter says of a point; the answer's columns for each are named in
 /// proto/mapsieve/v1/query_service.proto.
 enum class FilterColumn {
@@ -142,7 +224,7 @@ struct QuerySpec {
   /// 0: the newest processed one, or with `raw` the newest one.
   int64_t revision = 0;
   /// Nothing: the whole map.
-  std::variant<std::monostate, BoxRegion, SphereRegion> region;
+  Region region;
   /// Empty: all.
   std::vector<core::Label> labels;
   /// At most this many points, spread evenly over each label; 0: no limit.
@@ -175,7 +257,7 @@ struct OperationInfo {
   std::string id;
   /// "maps/{map}" or the name of an upload.
   std::string target;
-  /// "ProcessMap" or "FinalizeUpload".
+  /// "ProcessMap", "FinalizeUpload" or "DeleteRegion".
   std::string verb;
   bool done = false;
   int64_t done_work = 0;

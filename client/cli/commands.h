@@ -55,6 +55,39 @@ struct QueryCommand {
 };
 absl::Status RunQuery(const CommonOptions& common, const QueryCommand& command);
 
+struct DeleteRegionCommand {
+  std::string map;
+  Region region;
+};
+absl::Status RunDeleteRegion(const CommonOptions& common,
+                             const DeleteRegionCommand& command);
+
+struct ReplaceRegionCommand {
+  /// All files become one upload.
+  UploadCommand upload;
+  Region region;
+};
+absl::Status RunReplaceRegion(const CommonOptions& common,
+                              const ReplaceRegionCommand& command);
+
+struct RollbackCommand {
+  std::string map;
+  int64_t revision = 0;
+};
+absl::Status RunRollback(const CommonOptions& common,
+                         const RollbackCommand& command);
+
+struct RevisionsCommand {
+  std::string map;
+  /// Two revisions to compare; empty: list all.
+  std::vector<int64_t> compared;
+  /// CSV file of the tiles that differ; empty: none.
+  std::string tiles;
+};
+absl::Status RunRevisions(const CommonOptions& common,
+                          const RevisionsCommand& command);
+
+/// With the newest revisions.
 absl::Status RunInfo(const CommonOptions& common, const std::string& map);
 absl::Status RunList(const CommonOptions& common);
 absl::Status RunDelete(const CommonOptions& common, const std::string& map,

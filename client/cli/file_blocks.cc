@@ -57,4 +57,47 @@ absl::StatusOr<std::vector<std::byte>> FileBlocks::NextBlock() {
   return block;
 }
 
+FileListBlocks::FileListBlocks(std::vector<std::string> paths,
+                               ReadOptions options, core::Lattice lattice)
+    : paths_(std::move(paths)),
+      options_(std::move(options)),
+      lattice_(lattice) {}
+
+absl::Status FileListBlocks::Rewind() {
+  file_.reset();
+  opened_count_ = 0;
+  refused_before_ = {};
+  return absl::OkStatus();
+}
+
+absl::Status FileListBlocks::OpenNext() {
+  refused_before_ = refused();
+  const std::string& path = paths_[opened_count_++];
+  file_.emplace(path, options_, lattice_);
+  return Annotate(file_->Rewind(), path);
+}
+
+absl::StatusOr<std::vector<std::byte>> FileListBlocks::NextBlock() {
+  while (true) {
+    if (file_.has_value()) {
+      auto block = file_->NextBlock();
+      if (!block.ok()) {
+        return Annotate(block.status(), paths_[opened_count_ - 1]);
+      }
+      if (!block->empty()) return block;
+    }
+    if (opened_count_ == paths_.size()) return std::vector<std::byte>();
+    MAPSIEVE_RETURN_IF_ERROR(OpenNext());
+  }
+}
+
+core::RefusedCounts FileListBlocks::refused() const {
+  core::RefusedCounts all = refused_before_;
+  if (file_.has_value()) {
+    all.non_finite += file_->refused().non_finite;
+    all.out_of_lattice += file_->refused().out_of_lattice;
+  }
+  return all;
+}
+
 }  // namespace mapsieve::client

@@ -5,6 +5,8 @@
 #include <deque>
 #include <filesystem>
 #include <memory>
+#include <optional>
+#include <string>
 #include <vector>
 
 #include "client/api/block_source.h"
@@ -37,6 +39,30 @@ class FileBlocks final : public BlockSource {
   std::unique_ptr<PointReader> reader_;
   std::deque<std::vector<std::byte>> ready_;
   core::RefusedCounts refused_;
+};
+
+/// The blocks of several point files, one file after the other. An error names
+/// its file.
+class FileListBlocks final : public BlockSource {
+ public:
+  FileListBlocks(std::vector<std::string> paths, ReadOptions options,
+                 core::Lattice lattice);
+
+  absl::Status Rewind() override;
+  absl::StatusOr<std::vector<std::byte>> NextBlock() override;
+  core::RefusedCounts refused() const override;
+
+ private:
+  absl::Status OpenNext();
+
+  const std::vector<std::string> paths_;
+  const ReadOptions options_;
+  const core::Lattice lattice_;
+  /// The file of paths_[opened_count_ - 1]; none before Rewind.
+  std::optional<FileBlocks> file_;
+  size_t opened_count_ = 0;
+  /// Of the files before it.
+  core::RefusedCounts refused_before_;
 };
 
 }  // namespace mapsieve::client

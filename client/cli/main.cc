@@ -81,6 +81,107 @@ void AddUpload(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+/// The options of a region, and how they are put together.
+class RegionOptions {
+ public:
+  void AddTo(CLI::App& command) {
+    CLI::Option* box =
+        command.add_option("--box", box_, "x0 y0 z0 x1 y1 z1 in map units")
+            ->expected(6)
+            ->allow_extra_args(false);
+    command.add_option("--sphere", sphere_, "x y z radius in map units")
+        ->expected(4)
+        ->allow_extra_args(false)
+        ->excludes(box);
+  }
+  /// For commands that need one of them.
+  void AddRequiredTo(CLI::App& command) {
+    AddTo(*command.add_option_group("Region")->require_option(1));
+  }
+  /// What was given, if anything was.
+  Region region() const {
+    if (!box_.empty()) {
+      const std::vector<double>& b = box_;
+      return BoxRegion{{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
+    }
+    if (!sphere_.empty()) {
+      const std::vector<double>& s = sphere_;
+      return SphereRegion{{s[0], s[1], s[2]}, s[3]};
+    }
+    return {};
+  }
+
+ private:
+  std::vector<double> box_;
+  std::vector<double> sphere_;
+};
+
+void AddDeleteRegion(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<DeleteRegionCommand>();
+  auto region = std::make_shared<RegionOptions>();
+  CLI::App* command = app.add_subcommand(
+      "delete-region",
+      "Take the uploaded points of a region out of a map; process it after");
+  command->add_option("MAP", options->map, "Id of the map")->required();
+  region->AddRequiredTo(*command);
+  command->callback([=, &common, &run] {
+    options->region = region->region();
+    run = [=, &common] { return RunDeleteRegion(common, *options); };
+  });
+}
+
+void AddReplaceRegion(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<ReplaceRegionCommand>();
+  auto region = std::make_shared<RegionOptions>();
+  CLI::App* command = app.add_subcommand(
+      "replace-region",
+      "Put the points of files in the place of the uploaded points of a "
+      "region, as one revision for all files; the same files again for the "
+      "same region change nothing");
+  command->add_option("MAP", options->upload.map, "Id of the map")->required();
+  command
+      ->add_option("FILE", options->upload.files,
+                   "LAS, PCD, PLY, CSV, XYZ, VTK")
+      ->required();
+  region->AddRequiredTo(*command);
+  command->add_flag("--process", options->upload.process,
+                    "Run the filter after it");
+  AddColumnsOption(*command, options->upload.column_names);
+  command->callback([=, &common, &run] {
+    options->region = region->region();
+    run = [=, &common] { return RunReplaceRegion(common, *options); };
+  });
+}
+
+void AddRevisionCommands(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto rollback = std::make_shared<RollbackCommand>();
+  CLI::App* command = app.add_subcommand(
+      "rollback", "Make a new revision that equals an earlier one");
+  command->add_option("MAP", rollback->map, "Id of the map")->required();
+  command->add_option("--to", rollback->revision, "Number of that revision")
+      ->required();
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunRollback(common, *rollback); };
+  });
+  auto revisions = std::make_shared<RevisionsCommand>();
+  command = app.add_subcommand(
+      "revisions", "List a map's revisions, newest first, or compare two");
+  command->add_option("MAP", revisions->map, "Id of the map")->required();
+  CLI::Option* compare =
+      command
+          ->add_option("--compare", revisions->compared,
+                       "Numbers of two revisions: tells what changed")
+          ->expected(2);
+  command
+      ->add_option("--tiles", revisions->tiles,
+                   "With --compare: CSV file for the tiles that differ, by "
+                   "their lowest corner in map units")
+      ->needs(compare);
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunRevisions(common, *revisions); };
+  });
+}
+
 void AddProcess(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<ProcessCommand>();
   auto rule = std::make_shared<std::string>();
@@ -101,18 +202,12 @@ void AddProcess(CLI::App& app, const CommonOptions& common, Run& run) {
 
 void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<QueryCommand>();
-  auto box = std::make_shared<std::vector<double>>();
-  auto sphere = std::make_shared<std::vector<double>>();
+  auto region = std::make_shared<RegionOptions>();
   auto labels = std::make_shared<std::vector<std::string>>();
   CLI::App* command =
       app.add_subcommand("query", "Write the points of a region to a file");
   command->add_option("MAP", options->spec.map_id, "Id of the map")->required();
-  CLI::Option* box_option =
-      command->add_option("--box", *box, "x0 y0 z0 x1 y1 z1 in map units")
-          ->expected(6);
-  command->add_option("--sphere", *sphere, "x y z radius in map units")
-      ->expected(4)
-      ->excludes(box_option);
+  region->AddTo(*command);
   CLI::Option* label_option =
       command
           ->add_option("--labels", *labels,
@@ -135,14 +230,7 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   command->add_option("-o,--output", options->output, "LAS, PCD, PLY or CSV")
       ->required();
   command->callback([=, &common, &run] {
-    if (!box->empty()) {
-      const std::vector<double>& b = *box;
-      options->spec.region = BoxRegion{{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
-    }
-    if (!sphere->empty()) {
-      const std::vector<double>& s = *sphere;
-      options->spec.region = SphereRegion{{s[0], s[1], s[2]}, s[3]};
-    }
+    options->spec.region = region->region();
     for (const std::string& label : *labels) {
       for (const auto candidate : {core::Label::kJunction, core::Label::kCurve,
                                    core::Label::kSurface}) {
@@ -158,7 +246,8 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
 void AddMapCommands(CLI::App& app, const CommonOptions& common, Run& run) {
   auto map = std::make_shared<std::string>();
   auto force = std::make_shared<bool>(false);
-  CLI::App* info = app.add_subcommand("info", "Counts and sizes of a map");
+  CLI::App* info = app.add_subcommand(
+      "info", "Counts and sizes of a map, and its newest 20 revisions");
   info->add_option("MAP", *map, "Id of the map")->required();
   info->callback([=, &common, &run] {
     run = [=, &common] { return RunInfo(common, *map); };
@@ -310,6 +399,9 @@ int Main(int argc, char** argv) {
   AddUpload(app, common, run);
   AddProcess(app, common, run);
   AddQuery(app, common, run);
+  AddDeleteRegion(app, common, run);
+  AddReplaceRegion(app, common, run);
+  AddRevisionCommands(app, common, run);
   AddMapCommands(app, common, run);
   AddSample(app, common, run);
   AddConvert(app, common, run);

@@ -44,16 +44,20 @@ void PrintResult(bool as_json, const Json& result) {
     return;
   }
   // A list of maps, of files, …: a block of lines each.
+  Json members = Json::object();
+  Json blocks = Json::array();
   for (const auto& [key, value] : result.items()) {
-    if (!value.is_array()) continue;
-    for (const Json& item : value) {
-      if (!item.is_object()) continue;
-      PrintMembers(item);
-      if (&item != &value.back()) std::printf("\n");
+    if (value.is_array() && !value.empty() && value.front().is_object()) {
+      blocks.insert(blocks.end(), value.begin(), value.end());
+    } else {
+      members[key] = value;
     }
-    if (!value.empty() && value.front().is_object()) return;
   }
-  PrintMembers(result);
+  PrintMembers(members);
+  for (const Json& block : blocks) {
+    if (!members.empty() || &block != &blocks.front()) std::printf("\n");
+    PrintMembers(block);
+  }
 }
 
 Json LabelCountsJson(const core::LabelCounts& counts) {

@@ -14,7 +14,7 @@ namespace mapsieve::client {
 using Json = nlohmann::ordered_json;
 
 /// Prints a command's result on stdout: the document with --json, else its
-/// members a line each.
+/// members a line each, and those of lists of objects in blocks after them.
 void PrintResult(bool as_json, const Json& result);
 
 /// {"junction": …, "curve": …, "surface": …}

@@ -1,14 +1,18 @@
 #include <chrono>
 #include <cmath>
+#include <fstream>
+#include <limits>
 #include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "client/api/map_client.h"
 #include "client/cli/commands.h"
 #include "client/cli/file_blocks.h"
 #include "client/cli/output.h"
 #include "client/cli/progress_bar.h"
+#include "client/cli/revision_json.h"
 #include "client/formats/point_file.h"
 #include "core/base/status.h"
 
@@ -16,6 +20,9 @@ namespace mapsieve::client {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+
+/// Newest revisions that `info` shows.
+constexpr int64_t kRevisionsOfInfo = 20;
 
 double SecondsSince(Clock::time_point start) {
   return RoundSeconds(
@@ -48,6 +55,85 @@ Json BoundsJson(const std::optional<Bounds>& bounds) {
   };
   return {{"min", point(bounds->min)}, {"max", point(bounds->max)}};
 }
+
+Json UploadJson(const UploadReport& report, double seconds) {
+  return {{"already_there", report.already_there},
+          {"added_point_count",
+           report.already_there ? 0 : report.added_point_count},
+          {"refused_non_finite_count", report.refused_non_finite_count},
+          {"refused_out_of_lattice_count", report.refused_out_of_lattice_count},
+          {"revision", report.revision},
+          {"tile_count", report.tile_count},
+          {"bounds", BoundsJson(report.bounds)},
+          {"upload_bytes", report.upload_bytes},
+          {"sent_bytes", report.sent_bytes},
+          {"upload_s", seconds}};
+}
+
+/// A file of tiles that differ, a line each.
+class TileFile {
+ public:
+  TileFile(std::string path, const MapInfo& map)
+      : path_(std::move(path)), level_(map.tile_level), lattice_(map.step_nm) {
+    if (path_.empty()) return;
+    file_.open(path_, std::ios::trunc);
+    file_ << "x,y,z,raw,product,raw_points_before,raw_points_after";
+    for (const char* when : {"before", "after"}) {
+      for (const char* label : {"none", "junction", "curve", "surface"}) {
+        file_ << ',' << label << '_' << when;
+      }
+    }
+    file_ << '\n';
+  }
+
+  absl::Status Add(const TileChange& change) {
+    if (path_.empty()) return absl::OkStatus();
+    const core::LatticePoint& t = change.tile;
+    for (const int64_t cell : {t.x, t.y, t.z}) {
+      file_ << absl::StrFormat("%.17g,", lattice_.Coordinate(cell << level_));
+    }
+    file_ << Name(change.raw) << ',' << Name(change.product) << ','
+          << change.base_raw_point_count << ','
+          << change.target_raw_point_count;
+    for (const auto* counts :
+         {&change.base_label_counts, &change.target_label_counts}) {
+      for (const int64_t count : *counts) file_ << ',' << count;
+    }
+    file_ << '\n';
+    return Check();
+  }
+
+  absl::Status Close() {
+    if (path_.empty()) return absl::OkStatus();
+    file_.close();
+    return Check();
+  }
+
+ private:
+  static const char* Name(TileChangeKind kind) {
+    switch (kind) {
+      case TileChangeKind::kNone:
+        return "same";
+      case TileChangeKind::kAdded:
+        return "added";
+      case TileChangeKind::kRemoved:
+        return "removed";
+      case TileChangeKind::kChanged:
+        return "changed";
+    }
+    return "";
+  }
+  absl::Status Check() const {
+    if (file_.good()) return absl::OkStatus();
+    return absl::UnavailableError(absl::StrCat(
+        path_, ": cannot be written; name a file in a folder with room"));
+  }
+
+  const std::string path_;
+  const int level_;
+  const core::Lattice lattice_;
+  std::ofstream file_;
+};
 
 /// Runs the filter and waits.
 absl::StatusOr<Json> Process(MapClient& client, const std::string& map,
@@ -118,19 +204,9 @@ absl::Status RunUpload(const CommonOptions& common,
       report = client.Upload(command.map, blocks, Show(bar));
     }
     if (!report.ok()) return Annotate(report.status(), file);
-    files.push_back(
-        {{"file", file},
-         {"already_there", report->already_there},
-         {"added_point_count",
-          report->already_there ? 0 : report->added_point_count},
-         {"refused_non_finite_count", report->refused_non_finite_count},
-         {"refused_out_of_lattice_count", report->refused_out_of_lattice_count},
-         {"revision", report->revision},
-         {"tile_count", report->tile_count},
-         {"bounds", BoundsJson(report->bounds)},
-         {"upload_bytes", report->upload_bytes},
-         {"sent_bytes", report->sent_bytes},
-         {"upload_s", SecondsSince(start)}});
+    Json result = {{"file", file}};
+    result.update(UploadJson(*report, SecondsSince(start)));
+    files.push_back(std::move(result));
   }
   Json result = {{"map", command.map}, {"files", std::move(files)}};
   if (command.process) {
@@ -178,10 +254,120 @@ absl::Status RunQuery(const CommonOptions& common,
   return absl::OkStatus();
 }
 
+absl::Status RunDeleteRegion(const CommonOptions& common,
+                             const DeleteRegionCommand& command) {
+  const Clock::time_point start = Clock::now();
+  MapClient client(common.server);
+  absl::StatusOr<DeleteReport> report;
+  {
+    ProgressBar bar("delete-region " + command.map, "chunks");
+    report = client.DeleteRegion(command.map, command.region, Show(bar));
+  }
+  MAPSIEVE_RETURN_IF_ERROR(report.status());
+  PrintResult(common.json,
+              {{"map", command.map},
+               {"revision", report->revision},
+               {"removed_point_count", report->removed_point_count},
+               {"tile_count", report->tile_count},
+               {"delete_s", SecondsSince(start)}});
+  return absl::OkStatus();
+}
+
+absl::Status RunReplaceRegion(const CommonOptions& common,
+                              const ReplaceRegionCommand& command) {
+  const Clock::time_point start = Clock::now();
+  const UploadCommand& upload = command.upload;
+  MapClient client(common.server);
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(upload.map));
+  FileListBlocks blocks(upload.files, {.column_names = upload.column_names},
+                        core::Lattice(map.step_nm));
+  absl::StatusOr<UploadReport> report;
+  {
+    ProgressBar bar("replace-region " + upload.map, "B");
+    report = client.Upload(upload.map, blocks, Show(bar), command.region);
+  }
+  MAPSIEVE_RETURN_IF_ERROR(report.status());
+  Json result = {{"map", upload.map},
+                 {"removed_point_count",
+                  report->already_there ? 0 : report->removed_point_count}};
+  result.update(UploadJson(*report, SecondsSince(start)));
+  if (upload.process) {
+    MAPSIEVE_ASSIGN_OR_RETURN(result["process"],
+                              Process(client, upload.map, std::nullopt));
+  }
+  PrintResult(common.json, result);
+  return absl::OkStatus();
+}
+
+absl::Status RunRollback(const CommonOptions& common,
+                         const RollbackCommand& command) {
+  MapClient client(common.server);
+  MAPSIEVE_ASSIGN_OR_RETURN(const RevisionInfo revision,
+                            client.RollBack(command.map, command.revision));
+  Json result = {{"map", command.map}};
+  result.update(RevisionJson(revision));
+  PrintResult(common.json, result);
+  return absl::OkStatus();
+}
+
+absl::Status RunRevisions(const CommonOptions& common,
+                          const RevisionsCommand& command) {
+  MapClient client(common.server);
+  if (command.compared.empty()) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const std::vector<RevisionInfo> revisions,
+        client.ListRevisions(command.map, std::numeric_limits<int64_t>::max()));
+    Json list = Json::array();
+    for (const RevisionInfo& revision : revisions) {
+      list.push_back(RevisionJson(revision));
+    }
+    PrintResult(common.json,
+                {{"map", command.map}, {"revisions", std::move(list)}});
+    return absl::OkStatus();
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(command.map));
+  TileFile tiles(command.tiles, map);
+  int64_t added = 0;
+  int64_t removed = 0;
+  int64_t raw_changed = 0;
+  int64_t product_changed = 0;
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const ComparedRevisions compared,
+      client.CompareRevisions(
+          command.map, command.compared[0], command.compared[1],
+          [&](const TileChange& change) {
+            added += change.raw == TileChangeKind::kAdded;
+            removed += change.raw == TileChangeKind::kRemoved;
+            raw_changed += change.raw == TileChangeKind::kChanged;
+            product_changed += change.product != TileChangeKind::kNone;
+            return tiles.Add(change);
+          }));
+  MAPSIEVE_RETURN_IF_ERROR(tiles.Close());
+  const auto& [base, target] = compared;
+  PrintResult(common.json,
+              {{"map", command.map},
+               {"tiles_added", added},
+               {"tiles_removed", removed},
+               {"tiles_changed_raw", raw_changed},
+               {"tiles_changed_product", product_changed},
+               {"raw_point_count_before", base.raw_point_count},
+               {"raw_point_count_after", target.raw_point_count},
+               {"label_counts_before", LabelCountsJson(base.label_counts)},
+               {"label_counts_after", LabelCountsJson(target.label_counts)},
+               {"compared", {RevisionJson(base), RevisionJson(target)}}});
+  return absl::OkStatus();
+}
+
 absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
   MapClient client(common.server);
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(map_id));
   MAPSIEVE_ASSIGN_OR_RETURN(const MapStats stats, client.GetMapStats(map_id));
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<RevisionInfo> newest,
+                            client.ListRevisions(map_id, kRevisionsOfInfo));
+  Json revisions = Json::array();
+  for (const RevisionInfo& revision : newest) {
+    revisions.push_back(RevisionJson(revision));
+  }
   Json attributes = Json::object();
   for (const core::ColumnSpec& spec : stats.attributes) {
     attributes[spec.name] = std::string(core::ScalarTypeName(spec.type));
@@ -201,7 +387,8 @@ absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
                {"tile_count", stats.tile_count},
                {"stale_tile_count", stats.stale_tile_count},
                {"bounds", BoundsJson(stats.bounds)},
-               {"attributes", attributes}});
+               {"attributes", attributes},
+               {"revisions", revisions}});
   return absl::OkStatus();
 }
 

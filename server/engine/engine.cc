@@ -9,6 +9,7 @@
 #include "core/base/executor.h"
 #include "core/base/mutex.h"
 #include "core/base/status.h"
+#include "server/engine/edit_map.h"
 #include "server/engine/garbage_collector.h"
 #include "server/engine/ingest.h"
 #include "server/engine/job_manager.h"
@@ -16,6 +17,7 @@
 #include "server/engine/opaque_records.h"
 #include "server/engine/process_map.h"
 #include "server/engine/region_query.h"
+#include "server/engine/revision_report.h"
 #include "storage/file_system.h"
 #include "storage/names.h"
 #include "storage/store.h"
@@ -75,25 +77,6 @@ absl::StatusOr<int> TileLevel(const MapSpec& spec) {
   int level = kMinTileLevel;
   while (edge(level) < spec.tile_edge) ++level;
   return level;
-}
-
-RevisionKind ToKind(storage::RevisionKind kind) {
-  switch (kind) {
-    case storage::RevisionKind::kCreate:
-      return RevisionKind::kCreate;
-    case storage::RevisionKind::kProcess:
-      return RevisionKind::kProcess;
-    default:
-      return RevisionKind::kUpload;
-  }
-}
-
-RevisionInfo ToInfo(const storage::RevisionRecord& record) {
-  return {.number = record.number,
-          .kind = ToKind(record.spec.kind),
-          .create_time = record.create_time,
-          .raw_point_count = record.totals.raw_point_count,
-          .processed_revision = record.processed_revision};
 }
 
 absl::StatusOr<UploadInfo> ToInfo(const storage::UploadRecord& record) {
@@ -289,9 +272,53 @@ class LocalEngine final : public Engine {
     result.next_page_token = CutPage(
         records, size, [](const auto& r) { return std::to_string(r.number); });
     for (const storage::RevisionRecord& record : records) {
-      result.items.push_back(ToInfo(record));
+      MAPSIEVE_ASSIGN_OR_RETURN(RevisionInfo info,
+                                DescribeRevision(catalogue(), map.uid, record));
+      result.items.push_back(std::move(info));
     }
     return result;
+  }
+
+  absl::StatusOr<RevisionComparison> CompareRevisions(
+      const std::string& map_id, int64_t base, int64_t target,
+      const PageRequest& page) override {
+    MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size, PageSize(page));
+    return engine::CompareRevisions(*store_, map_id, base, target, size,
+                                    page.page_token);
+  }
+
+  // Edits.
+
+  absl::StatusOr<Operation> DeleteRegion(const std::string& map_id,
+                                         const RegionShape& region) override {
+    MutexLock lock(admin_mutex_);
+    MAPSIEVE_ASSIGN_OR_RETURN(const storage::MapRecord map,
+                              catalogue().GetMap(map_id));
+    MAPSIEVE_RETURN_IF_ERROR(CheckRegion(region, map));
+    return jobs_->Start(map_id,
+                        {.verb = OperationVerb::kDeleteRegion,
+                         .map_uid = map.uid,
+                         .region = region,
+                         .edit_uid = NewRandomId(),
+                         .base_revision = map.newest_revision},
+                        /*is_unique=*/false);
+  }
+
+  absl::StatusOr<RevisionInfo> RollBack(const std::string& map_id,
+                                        int64_t revision) override {
+    MutexLock lock(admin_mutex_);
+    MAPSIEVE_ASSIGN_OR_RETURN(const storage::MapRecord map,
+                              catalogue().GetMap(map_id));
+    if (jobs_->IsBusy(map.uid)) {
+      return absl::AbortedError(
+          absl::StrCat("map ", map_id,
+                       " has an operation that is not done; wait for it or "
+                       "cancel it"));
+    }
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const storage::RevisionRecord record,
+        catalogue().RollBack(map.uid, revision, /*description=*/""));
+    return DescribeRevision(catalogue(), map.uid, record);
   }
 
   // Uploads.
@@ -369,8 +396,14 @@ class LocalEngine final : public Engine {
   }
 
   absl::StatusOr<Operation> FinalizeUpload(
-      const std::string& map_id, const std::string& upload_id) override {
+      const std::string& map_id, const std::string& upload_id,
+      const std::optional<RegionShape>& region) override {
     MutexLock lock(admin_mutex_);
+    if (region.has_value()) {
+      MAPSIEVE_ASSIGN_OR_RETURN(const storage::MapRecord map,
+                                catalogue().GetMap(map_id));
+      MAPSIEVE_RETURN_IF_ERROR(CheckRegion(*region, map));
+    }
     MAPSIEVE_ASSIGN_OR_RETURN(const storage::UploadRecord upload,
                               FindUpload(map_id, upload_id));
     const auto earlier = jobs_->FindFinalize(upload.uid);
@@ -380,7 +413,8 @@ class LocalEngine final : public Engine {
     const JobSpec spec = {.verb = OperationVerb::kFinalizeUpload,
                           .map_uid = upload.map_uid,
                           .upload_id = upload_id,
-                          .upload_uid = upload.uid};
+                          .upload_uid = upload.uid,
+                          .region = region};
     if (upload.state == storage::UploadState::kFinalized) {
       MAPSIEVE_ASSIGN_OR_RETURN(const UploadReport report,
                                 ParseUploadReport(upload.report));
@@ -505,6 +539,11 @@ class LocalEngine final : public Engine {
     }
   }
 
+  static absl::Status CheckRegion(const RegionShape& region,
+                                  const storage::MapRecord& map) {
+    return Region::Make(region, core::Lattice(map.spec.step_nm)).status();
+  }
+
   static absl::Status CheckUpload(const UploadSpec& spec) {
     MAPSIEVE_RETURN_IF_ERROR(storage::CheckResourceId(spec.upload_id));
     if (!storage::IsHexId(spec.content_hash)) {
@@ -549,22 +588,43 @@ class LocalEngine final : public Engine {
   absl::StatusOr<JobResult> RunJob(const std::string& map_id,
                                    const JobSpec& spec,
                                    const ExecutionContext& context) {
-    absl::StatusOr<JobResult> result =
-        spec.verb == OperationVerb::kFinalizeUpload
-            ? RunFinalize(map_id, spec, context)
-            : RunProcess(map_id, spec, context);
+    absl::StatusOr<JobResult> result = RunVerb(map_id, spec, context);
     // Chunks that no commit refers to.
     if (!result.ok()) garbage_->Request();
     return result;
+  }
+
+  absl::StatusOr<JobResult> RunVerb(const std::string& map_id,
+                                    const JobSpec& spec,
+                                    const ExecutionContext& context) {
+    switch (spec.verb) {
+      case OperationVerb::kFinalizeUpload:
+        return RunFinalize(map_id, spec, context);
+      case OperationVerb::kProcessMap:
+        return RunProcess(map_id, spec, context);
+      case OperationVerb::kDeleteRegion:
+        return RunDelete(map_id, spec, context);
+    }
+    return absl::InternalError("an operation of no verb");
+  }
+
+  absl::StatusOr<JobResult> RunDelete(const std::string& map_id,
+                                      const JobSpec& spec,
+                                      ExecutionContext context) {
+    context.executor = io_workers_.get();
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const DeleteReport report,
+        DeleteStoredRegion(*store_, map_id, spec, ingest_limits_, context));
+    return JobResult(report);
   }
 
   absl::StatusOr<JobResult> RunFinalize(const std::string& map_id,
                                         const JobSpec& spec,
                                         ExecutionContext context) {
     context.executor = io_workers_.get();
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const UploadReport report,
-        AddUpload(*store_, map_id, spec.upload_uid, ingest_limits_, context));
+    MAPSIEVE_ASSIGN_OR_RETURN(const UploadReport report,
+                              AddUpload(*store_, map_id, spec.upload_uid,
+                                        spec.region, ingest_limits_, context));
     return JobResult(report);
   }
 

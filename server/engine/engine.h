@@ -105,11 +105,36 @@ class Engine {
   /// Newest first.
   virtual absl::StatusOr<Page<RevisionInfo>> ListRevisions(
       const std::string& map_id, const PageRequest& page) = 0;
+  /// Tiles that differ between two revisions, a page at a time. kOutOfRange: a
+  /// revision that the map has not.
+  virtual absl::StatusOr<RevisionComparison> CompareRevisions(
+      const std::string& map_id, int64_t base, int64_t target,
+      const PageRequest& page) = 0;
+
+  // Edits.
+
+  /// Starts the operation that takes the raw points of a region, those that a
+  /// raw query of it gives, out of the map as one new revision; tiles that lost
+  /// points are stale. Where there are no points, no revision is made.
+  /// kInvalidArgument naming the field; kResourceExhausted: too many operations
+  /// wait. Errors of the operation: kCancelled, kUnavailable, kDataLoss;
+  /// kResourceExhausted: disk full, or points of more chunks than one revision
+  /// takes. The map is as before in every case.
+  virtual absl::StatusOr<Operation> DeleteRegion(const std::string& map_id,
+                                                 const RegionShape& region) = 0;
+  /// Makes a new revision that equals `revision`: raw points, what queries
+  /// answer, stale tiles, options of the filter. Nothing is made, and the
+  /// newest revision returned, if that is `revision` or a rollback to it.
+  /// Uploads that it takes out of the map can be made again. kOutOfRange: no
+  /// such revision; kAborted: an operation on the map waits or runs.
+  virtual absl::StatusOr<RevisionInfo> RollBack(const std::string& map_id,
+                                                int64_t revision) = 0;
 
   // Uploads.
 
   /// Opens an upload, or returns the one of this id and the same spec, whatever
-  /// its state. kInvalidArgument; kAlreadyExists: the id is taken by an upload
+  /// its state; but one whose points a rollback took out of the map begins
+  /// anew. kInvalidArgument; kAlreadyExists: the id is taken by an upload
   /// with another spec (the figures of both in the message).
   virtual absl::StatusOr<UploadInfo> CreateUpload(const std::string& map_id,
                                                   const UploadSpec& spec) = 0;
@@ -128,17 +153,20 @@ class Engine {
       const std::string& map_id, const std::string& upload_id) = 0;
   /// Starts the operation that adds the upload's points to the map as one new
   /// revision; a repeat returns the operation of the first call, done or not,
-  /// unless that one failed in a way that a repeat may mend.
-  /// kFailedPrecondition: bytes are missing, or the upload failed before and
-  /// its operation is forgotten; kResourceExhausted: too many operations wait.
-  /// Errors of the operation: kDataLoss: the bytes are not those of
-  /// content_hash, or a block is damaged (with its offset); kInvalidArgument:
-  /// a block with another step than the map's, an attribute with another type
-  /// than the map's (both are named), too many attributes, too large a block —
-  /// the upload is then kFailed; kResourceExhausted, kUnavailable, kInternal,
-  /// kCancelled: it is kActive again. The map is as before in every case.
+  /// unless that one failed in a way that a repeat may mend. `region`: the raw
+  /// points that it has by then are taken out in the same revision.
+  /// kInvalidArgument: the region; kFailedPrecondition: bytes are missing, or
+  /// the upload failed before and its operation is forgotten;
+  /// kResourceExhausted: too many operations wait. Errors of the operation:
+  /// kDataLoss: the bytes are not those of content_hash, or a block is damaged
+  /// (with its offset); kInvalidArgument: a block with another step than the
+  /// map's, an attribute with another type than the map's (both are named), too
+  /// many attributes, too large a block — the upload is then kFailed;
+  /// kResourceExhausted, kUnavailable, kInternal, kCancelled: it is kActive
+  /// again. The map is as before in every case.
   virtual absl::StatusOr<Operation> FinalizeUpload(
-      const std::string& map_id, const std::string& upload_id) = 0;
+      const std::string& map_id, const std::string& upload_id,
+      const std::optional<RegionShape>& region = std::nullopt) = 0;
 
   // The filter.
 

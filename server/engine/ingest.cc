@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <span>
 #include <string_view>
@@ -17,6 +18,7 @@
 #include "core/geometry/cell_key.h"
 #include "server/engine/attribute_schema.h"
 #include "server/engine/chunk_writer.h"
+#include "server/engine/edit_map.h"
 #include "server/engine/opaque_records.h"
 
 namespace mapsieve::engine {
@@ -293,9 +295,34 @@ class Ingest {
   int64_t block_count_ = 0;
 };
 
+/// Takes the points of `shape` out of revision `number` of the map and adds
+/// that to `change`. `rest` keeps what is stored safe until the commit.
+absl::StatusOr<RegionCut> CutFrom(storage::Store& store,
+                                  const storage::MapRecord& map,
+                                  const RegionShape& shape,
+                                  const IngestLimits& limits,
+                                  const ExecutionContext& context,
+                                  ChunkWriter& rest) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const auto snapshot,
+      store.OpenSnapshot(map.spec.id, map.newest_revision));
+  if (snapshot->map().uid != map.uid) {
+    return absl::NotFoundError(
+        absl::StrCat("map ", map.spec.id, " was deleted meanwhile"));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Region region,
+      Region::Make(shape, core::Lattice(map.spec.step_nm)));
+  // The bytes of the upload are the progress.
+  ExecutionContext silent = context;
+  silent.progress = nullptr;
+  return CutRegion(*snapshot, region, limits, silent, rest);
+}
+
 absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
                                        const std::string& map_id,
                                        const storage::UploadRecord& upload,
+                                       const std::optional<RegionShape>& region,
                                        const IngestLimits& limits,
                                        const ExecutionContext& context) {
   MAPSIEVE_ASSIGN_OR_RETURN(storage::MapRecord map,
@@ -325,15 +352,34 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
     UploadReport report = ingest.Report();
     report.refused = notes.refused;
     report.revision = map.newest_revision + 1;
-    const auto committed = store.catalogue().CommitRevision(
-        map.uid, map.newest_revision,
-        {.spec = {.kind = storage::RevisionKind::kUpload,
-                  .description = "upload " + upload.spec.id,
-                  .attributes = schema.columns(),
-                  .refused = notes.refused},
-         .added = ingest.chunks(),
-         .finalized_upload_uid = upload.uid,
-         .upload_report = FormatUploadReport(report)});
+    ChunkWriter rest(store, storage::ChunkKind::kRaw, limits.chunk_bytes,
+                     *context.executor);
+    RegionCut cut;
+    if (region.has_value()) {
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          cut, CutFrom(store, map, *region, limits, context, rest));
+    }
+    report.removed_point_count = cut.removed_point_count;
+    storage::RevisionChange change = {
+        .spec = {.kind = region.has_value()
+                             ? storage::RevisionKind::kReplaceRegion
+                             : storage::RevisionKind::kUpload,
+                 .description = FormatEditRecord(
+                     {.upload_id = upload.spec.id,
+                      .region = region,
+                      .added_point_count = report.added_point_count,
+                      .removed_point_count = cut.removed_point_count,
+                      .tile_count = cut.tile_count}),
+                 .attributes = schema.columns(),
+                 .refused = notes.refused},
+        .added = rest.chunks(),
+        .removed = std::move(cut.removed_chunks),
+        .finalized_upload_uid = upload.uid,
+        .upload_report = FormatUploadReport(report)};
+    change.added.insert(change.added.end(), ingest.chunks().begin(),
+                        ingest.chunks().end());
+    const auto committed =
+        store.catalogue().CommitRevision(map.uid, map.newest_revision, change);
     if (committed.ok()) return report;
     if (!absl::IsAborted(committed.status())) return committed.status();
     // Another revision came first; these points can follow any.
@@ -362,6 +408,7 @@ IngestLimits IngestLimits::Of(int64_t memory_bytes) {
 absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
                                        const std::string& map_id,
                                        const std::string& upload_uid,
+                                       const std::optional<RegionShape>& region,
                                        const IngestLimits& limits,
                                        const ExecutionContext& context) {
   storage::Catalogue& catalogue = store.catalogue();
@@ -386,7 +433,7 @@ absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
       break;
   }
   absl::StatusOr<UploadReport> report =
-      AddPoints(store, map_id, upload, limits, context);
+      AddPoints(store, map_id, upload, region, limits, context);
   if (report.ok()) {
     // What stays behind is collected as garbage.
     store.uploads().Remove(upload_uid).IgnoreError();

@@ -2,10 +2,12 @@
 #define MAPSIEVE_SERVER_ENGINE_INGEST_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "absl/status/statusor.h"
 #include "core/base/executor.h"
+#include "server/engine/region.h"
 #include "server/engine/types.h"
 #include "storage/store.h"
 
@@ -27,16 +29,18 @@ struct IngestLimits {
 
 /// Adds the points of a complete upload to its map, named `map_id`, as one new
 /// revision, and marks the upload finalized in the same transaction; then drops
-/// its staged bytes. Done already: tells the report. After an error the map is
-/// as before and the upload is kFailed, if its bytes can never become points of
-/// this map, else kActive. Errors as Engine::FinalizeUpload has them for the
-/// operation.
+/// its staged bytes. `region`: the raw points of before that lie there are
+/// taken out in the same revision. Done already: tells the report. After an
+/// error the map is as before and the upload is kFailed, if its bytes can never
+/// become points of this map, else kActive. Errors as Engine::FinalizeUpload
+/// has them for the operation.
 ///
 /// Raw chunks of a tile hold its points in Morton order and all attributes
 /// that their block had. Memory: about `limits`, however large the upload.
 absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
                                        const std::string& map_id,
                                        const std::string& upload_uid,
+                                       const std::optional<RegionShape>& region,
                                        const IngestLimits& limits,
                                        const ExecutionContext& context);
 

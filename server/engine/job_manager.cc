@@ -22,23 +22,17 @@ namespace {
 /// Catalogue rows read at a time.
 constexpr int64_t kPageSize = 1000;
 constexpr std::string_view kTargetPrefix = "maps/";
-constexpr OperationVerb kVerbs[] = {OperationVerb::kFinalizeUpload,
-                                    OperationVerb::kProcessMap};
 
 std::string_view VerbName(OperationVerb verb) {
-  return verb == OperationVerb::kFinalizeUpload ? "FinalizeUpload"
-                                                : "ProcessMap";
-}
-
-std::string NewOperationId() {
-  std::random_device random;
-  std::string id;
-  for (int i = 0; i < 4; ++i) {
-    std::array<char, 9> digits{};
-    std::snprintf(digits.data(), digits.size(), "%08x", random());
-    id.append(digits.data());
+  switch (verb) {
+    case OperationVerb::kFinalizeUpload:
+      return "FinalizeUpload";
+    case OperationVerb::kProcessMap:
+      return "ProcessMap";
+    case OperationVerb::kDeleteRegion:
+      return "DeleteRegion";
   }
-  return id;
+  return "";
 }
 
 /// Work done so far, written by the job's thread and read by others.
@@ -63,16 +57,30 @@ void SetResult(const JobResult& result, Operation& operation) {
     operation.upload_report = *upload;
   } else if (const auto* process = std::get_if<ProcessReport>(&result)) {
     operation.process_report = *process;
+  } else if (const auto* deletion = std::get_if<DeleteReport>(&result)) {
+    operation.delete_report = *deletion;
   }
 }
 
 JobResult ResultOf(const Operation& operation) {
   if (operation.upload_report.has_value()) return *operation.upload_report;
   if (operation.process_report.has_value()) return *operation.process_report;
+  if (operation.delete_report.has_value()) return *operation.delete_report;
   return std::monostate();
 }
 
 }  // namespace
+
+std::string NewRandomId() {
+  std::random_device random;
+  std::string id;
+  for (int i = 0; i < 4; ++i) {
+    std::array<char, 9> digits{};
+    std::snprintf(digits.data(), digits.size(), "%08x", random());
+    id.append(digits.data());
+  }
+  return id;
+}
 
 struct JobManager::Job {
   int64_t number = 0;
@@ -199,8 +207,9 @@ absl::StatusOr<std::unique_ptr<JobManager>> JobManager::Open(
   std::unique_ptr<JobManager> manager(
       new JobManager(catalogue, limits, std::move(runner)));
   MAPSIEVE_RETURN_IF_ERROR(manager->Load());
-  for (const OperationVerb verb : kVerbs) {
-    manager->lanes_.emplace_back([&m = *manager, verb] { m.RunLane(verb); });
+  for (const bool filters : {false, true}) {
+    manager->lanes_.emplace_back(
+        [&m = *manager, filters] { m.RunLane(filters); });
   }
   return manager;
 }
@@ -257,23 +266,23 @@ void JobManager::Call(std::map<int64_t, std::function<void()>> watchers) {
 
 // Running.
 
-std::shared_ptr<JobManager::Job> JobManager::NextJob(OperationVerb verb) {
+std::shared_ptr<JobManager::Job> JobManager::NextJob(bool filters) {
   for (const auto& [number, job] : jobs_) {
     if (job->operation.state == OperationState::kQueued &&
-        job->operation.verb == verb && !job->is_held &&
-        !busy_maps_.contains(job->spec.map_uid)) {
+        (job->operation.verb == OperationVerb::kProcessMap) == filters &&
+        !job->is_held && !busy_maps_.contains(job->spec.map_uid)) {
       return job;
     }
   }
   return nullptr;
 }
 
-void JobManager::RunLane(OperationVerb verb) {
+void JobManager::RunLane(bool filters) {
   while (true) {
     std::shared_ptr<Job> job;
     {
       MutexLock lock(mutex_);
-      while (!is_shut_down_ && (job = NextJob(verb)) == nullptr) {
+      while (!is_shut_down_ && (job = NextJob(filters)) == nullptr) {
         changed_.wait(mutex_);
       }
       if (is_shut_down_) return;
@@ -413,7 +422,7 @@ absl::StatusOr<std::shared_ptr<JobManager::Job>> JobManager::Record(
     const std::string& map_id, const JobSpec& spec) {
   Job draft;
   draft.spec = spec;
-  draft.operation = {.operation_id = NewOperationId(),
+  draft.operation = {.operation_id = NewRandomId(),
                      .verb = spec.verb,
                      .map_id = map_id,
                      .create_time = absl::Now()};

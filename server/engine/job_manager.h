@@ -22,15 +22,19 @@
 
 namespace mapsieve::engine {
 
+/// 32 hexadecimal digits that were never used before.
+std::string NewRandomId();
+
 struct JobLimits {
   int max_queued = 1000;
   int max_finished = 1000;
 };
 
-/// Runs operations: one of each verb at a time, and never two on one map, in
-/// the order of their creation otherwise. They are recorded in the catalogue,
-/// so that those that are not done when the process ends are run again by the
-/// next manager: what runs them must be idempotent. Thread-safe.
+/// Runs operations: one that filters and one that changes points at a time,
+/// and never two on one map, in the order of their creation otherwise. They are
+/// recorded in the catalogue, so that those that are not done when the process
+/// ends are run again by the next manager: what runs them must be idempotent.
+/// Thread-safe.
 class JobManager {
  public:
   /// Does the work of an operation on the map `map_id`: gets the executor and
@@ -92,8 +96,10 @@ class JobManager {
   JobManager(storage::Catalogue& catalogue, const JobLimits& limits,
              Runner runner);
   absl::Status Load();
-  void RunLane(OperationVerb verb);
-  std::shared_ptr<Job> NextJob(OperationVerb verb)
+  /// `filters`: the lane of kProcessMap; else that of all other verbs, which
+  /// share their memory.
+  void RunLane(bool filters);
+  std::shared_ptr<Job> NextJob(bool filters)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void RunJob(const std::shared_ptr<Job>& job);
   absl::StatusOr<JobResult> CallRunner(Job& job);

@@ -15,77 +15,39 @@ namespace {
 using core::CellKey;
 using core::LatticeBox;
 using core::LatticePoint;
-using storage::ChunkRef;
 
-/// Walks the raw chunks of a revision tile by tile.
-class TileWalk {
- public:
-  explicit TileWalk(const storage::ReadSnapshot& snapshot)
-      : snapshot_(snapshot) {}
-
-  /// Goes to the first or the next tile.
-  absl::Status Next() {
-    blobs_.clear();
-    tile_.reset();
-    while (true) {
-      if (at_ == page_.size()) {
-        MAPSIEVE_RETURN_IF_ERROR(ReadPage());
-        if (page_.empty()) break;
-      }
-      const ChunkRef& chunk = page_[at_];
-      if (tile_.has_value() && !(*tile_ == chunk.tile)) break;
-      tile_ = chunk.tile;
-      blobs_.push_back(chunk.blob_id);
-      ++at_;
-    }
-    std::sort(blobs_.begin(), blobs_.end());
-    return absl::OkStatus();
-  }
-
-  /// Nothing at the end.
-  const std::optional<CellKey>& tile() const { return tile_; }
-  /// The contents of its chunks, whatever their order.
-  const std::vector<storage::BlobId>& blobs() const { return blobs_; }
-
- private:
-  absl::Status ReadPage() {
-    constexpr int64_t kPageSize = 1000;
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        page_, snapshot_.ListChunks(storage::ChunkKind::kRaw, std::nullopt,
-                                    after_, kPageSize));
-    if (!page_.empty()) after_ = {page_.back().tile, page_.back().number};
-    at_ = 0;
-    return absl::OkStatus();
-  }
-
-  const storage::ReadSnapshot& snapshot_;
-  std::optional<storage::ChunkPosition> after_;
-  std::vector<ChunkRef> page_;
-  size_t at_ = 0;
-  std::optional<CellKey> tile_;
-  std::vector<storage::BlobId> blobs_;
-};
+/// The contents of a tile's raw chunks, whatever their order.
+absl::StatusOr<std::vector<storage::BlobId>> BlobsOf(
+    const storage::ReadSnapshot& snapshot, const CellKey& tile) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::vector<storage::ChunkRef> chunks,
+      snapshot.ListTileChunks(storage::ChunkKind::kRaw, tile));
+  std::vector<storage::BlobId> blobs;
+  for (const storage::ChunkRef& chunk : chunks) blobs.push_back(chunk.blob_id);
+  std::sort(blobs.begin(), blobs.end());
+  return blobs;
+}
 
 absl::StatusOr<std::vector<CellKey>> TilesWithOtherChunks(
-    const storage::ReadSnapshot& before, const storage::ReadSnapshot& now) {
-  TileWalk a(before);
-  TileWalk b(now);
-  MAPSIEVE_RETURN_IF_ERROR(a.Next());
-  MAPSIEVE_RETURN_IF_ERROR(b.Next());
+    const storage::Catalogue& catalogue, const storage::ReadSnapshot& before,
+    const storage::ReadSnapshot& now) {
+  constexpr int64_t kPageSize = 1000;
   std::vector<CellKey> tiles;
-  const core::CellKeyLess less;
-  while (a.tile().has_value() || b.tile().has_value()) {
-    const bool a_first = !b.tile().has_value() ||
-                         (a.tile().has_value() && less(*a.tile(), *b.tile()));
-    const bool b_first = !a.tile().has_value() ||
-                         (b.tile().has_value() && less(*b.tile(), *a.tile()));
-    if (a_first || b_first || a.blobs() != b.blobs()) {
-      tiles.push_back(a_first ? *a.tile() : *b.tile());
+  std::optional<CellKey> after;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const std::vector<CellKey> page,
+        catalogue.ListChangedTiles(now.map().uid, before.revision().number,
+                                   now.revision().number,
+                                   storage::ChunkKind::kRaw, after, kPageSize));
+    if (page.empty()) return tiles;
+    for (const CellKey& tile : page) {
+      MAPSIEVE_ASSIGN_OR_RETURN(const auto old_blobs, BlobsOf(before, tile));
+      MAPSIEVE_ASSIGN_OR_RETURN(const auto new_blobs, BlobsOf(now, tile));
+      if (old_blobs != new_blobs) tiles.push_back(tile);
     }
-    if (!b_first) MAPSIEVE_RETURN_IF_ERROR(a.Next());
-    if (!a_first) MAPSIEVE_RETURN_IF_ERROR(b.Next());
+    after = page.back();
   }
-  return tiles;
 }
 
 /// Holds the points that are in one of two ascending lists only.
@@ -114,10 +76,10 @@ std::optional<LatticeBox> BoxOfDifference(const std::vector<LatticePoint>& a,
 }  // namespace
 
 absl::StatusOr<std::vector<core::TileChange>> FindChanges(
-    const storage::ReadSnapshot& before, const storage::ReadSnapshot& now,
-    const ExecutionContext& context) {
+    const storage::Catalogue& catalogue, const storage::ReadSnapshot& before,
+    const storage::ReadSnapshot& now, const ExecutionContext& context) {
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<CellKey> tiles,
-                            TilesWithOtherChunks(before, now));
+                            TilesWithOtherChunks(catalogue, before, now));
   std::vector<core::TileChange> changes(tiles.size());
   MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
       *context.executor, static_cast<int64_t>(tiles.size()),

@@ -14,8 +14,8 @@ namespace mapsieve::engine {
 /// map, in Morton order. Reads the raw chunks of tiles whose chunks differ, one
 /// tile for each worker at a time. Errors of storage; kCancelled.
 absl::StatusOr<std::vector<core::TileChange>> FindChanges(
-    const storage::ReadSnapshot& before, const storage::ReadSnapshot& now,
-    const ExecutionContext& context);
+    const storage::Catalogue& catalogue, const storage::ReadSnapshot& before,
+    const storage::ReadSnapshot& now, const ExecutionContext& context);
 
 }  // namespace mapsieve::engine
 

@@ -114,11 +114,46 @@ void VisitOptions(V& v, T& options) {
 }
 
 template <typename V, typename T>
+void VisitRegion(V& v, T& region) {
+  if (!v.Presence("has_region", region.has_value())) return;
+  constexpr bool kIsReader = !std::is_const_v<T>;
+  const bool is_sphere =
+      region.has_value() && std::holds_alternative<Sphere>(*region);
+  if (v.Presence("is_sphere", is_sphere)) {
+    if constexpr (kIsReader) region = Sphere();
+    VisitPoint(v, "center", std::get<Sphere>(*region).center);
+    v.Field("radius", std::get<Sphere>(*region).radius);
+  } else {
+    if constexpr (kIsReader) region = Box();
+    VisitPoint(v, "min", std::get<Box>(*region).min);
+    VisitPoint(v, "max", std::get<Box>(*region).max);
+  }
+}
+
+template <typename V, typename T>
+void VisitEditRecord(V& v, T& edit) {
+  v.Field("edit_uid", edit.edit_uid);
+  v.Field("upload_id", edit.upload_id);
+  VisitRegion(v, edit.region);
+  v.Field("added_point_count", edit.added_point_count);
+  v.Field("removed_point_count", edit.removed_point_count);
+  v.Field("tile_count", edit.tile_count);
+}
+
+template <typename V, typename T>
+void VisitDeleteReport(V& v, T& report) {
+  v.Field("revision", report.revision);
+  v.Field("removed_point_count", report.removed_point_count);
+  v.Field("tile_count", report.tile_count);
+}
+
+template <typename V, typename T>
 void VisitUploadReport(V& v, T& report) {
   v.Field("revision", report.revision);
   v.Field("added_point_count", report.added_point_count);
   v.Field("refused.non_finite", report.refused.non_finite);
   v.Field("refused.out_of_lattice", report.refused.out_of_lattice);
+  v.Field("removed_point_count", report.removed_point_count);
   v.Field("block_count", report.block_count);
   v.Field("tile_count", report.tile_count);
   if (v.Presence("has_bounds", report.bounds.has_value())) {
@@ -148,6 +183,15 @@ void VisitJobSpec(V& v, T& spec) {
     }
     v.Field("upload_id", spec.upload_id);
     v.Field("upload_uid", spec.upload_uid);
+    VisitRegion(v, spec.region);
+  } else if (v.Presence("is_deletion",
+                        spec.verb == OperationVerb::kDeleteRegion)) {
+    if constexpr (!std::is_const_v<T>) {
+      spec.verb = OperationVerb::kDeleteRegion;
+    }
+    VisitRegion(v, spec.region);
+    v.Field("edit_uid", spec.edit_uid);
+    v.Field("base_revision", spec.base_revision);
   } else {
     VisitOptions(v, spec.options);
   }
@@ -174,6 +218,9 @@ void VisitOutcome(V& v, T& outcome) {
   VisitResult<ProcessReport>(
       v, "is_process_report", outcome,
       [](auto& w, auto& report) { VisitProcessReport(w, report); });
+  VisitResult<DeleteReport>(
+      v, "is_delete_report", outcome,
+      [](auto& w, auto& report) { VisitDeleteReport(w, report); });
 }
 
 template <typename T, typename Visit>
@@ -196,6 +243,7 @@ absl::StatusOr<T> Parse(std::string_view bytes, std::string_view name,
 constexpr auto kOptions = [](auto& v, auto& r) { VisitOptions(v, r); };
 constexpr auto kUpload = [](auto& v, auto& r) { VisitUploadReport(v, r); };
 constexpr auto kProcess = [](auto& v, auto& r) { VisitProcessReport(v, r); };
+constexpr auto kEdit = [](auto& v, auto& r) { VisitEditRecord(v, r); };
 constexpr auto kSpec = [](auto& v, auto& r) { VisitJobSpec(v, r); };
 constexpr auto kOutcome = [](auto& v, auto& r) { VisitOutcome(v, r); };
 
@@ -220,6 +268,13 @@ std::string FormatProcessReport(const ProcessReport& report) {
 }
 absl::StatusOr<ProcessReport> ParseProcessReport(std::string_view bytes) {
   return Parse<ProcessReport>(bytes, "stored report of a run", kProcess);
+}
+
+std::string FormatEditRecord(const EditRecord& edit) {
+  return Format(edit, kEdit);
+}
+absl::StatusOr<EditRecord> ParseEditRecord(std::string_view bytes) {
+  return Parse<EditRecord>(bytes, "stored description of an edit", kEdit);
 }
 
 std::string FormatJobSpec(const JobSpec& spec) { return Format(spec, kSpec); }

@@ -127,7 +127,8 @@ class MapRun {
       return std::nullopt;
     }
     MAPSIEVE_ASSIGN_OR_RETURN(
-        previous.changes, FindChanges(*previous.snapshot, snapshot_, context_));
+        previous.changes, FindChanges(store_.catalogue(), *previous.snapshot,
+                                      snapshot_, context_));
     if (2 * static_cast<int64_t>(previous.changes.size()) >
         then.totals.tile_count) {
       return std::nullopt;

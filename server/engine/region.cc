@@ -118,6 +118,26 @@ bool Region::Contains(const LatticePoint& q) const {
              sphere->radius * sphere->radius;
 }
 
+bool Region::Encloses(const LatticeBox& box) const {
+  const LatticePoint last = {box.max.x - 1, box.max.y - 1, box.max.z - 1};
+  const Sphere* sphere = std::get_if<Sphere>(&shape_);
+  if (sphere == nullptr) {
+    return bounds_.Contains(box.min) && bounds_.Contains(last);
+  }
+  // As below: no point of the box comes out farther away than this corner.
+  const Point3 low = lattice_.Position(box.min);
+  const Point3 high = lattice_.Position(last);
+  const auto farthest = [](double c, double a, double b) {
+    return std::abs(a - c) > std::abs(b - c) ? a : b;
+  };
+  const Point3& c = sphere->center;
+  const Point3 corner = {farthest(c.x, low.x, high.x),
+                         farthest(c.y, low.y, high.y),
+                         farthest(c.z, low.z, high.z)};
+  return bounds_.Contains(box.min) && bounds_.Contains(last) &&
+         SquaredDistance(corner, c) <= sphere->radius * sphere->radius;
+}
+
 bool Region::Intersects(const LatticeBox& box) const {
   if (!bounds_.Intersects(box)) return false;
   const Sphere* sphere = std::get_if<Sphere>(&shape_);

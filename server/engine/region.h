@@ -45,6 +45,9 @@ class Region {
   /// none.
   bool Intersects(const core::LatticeBox& box) const;
 
+  /// Whether the region holds every point of `box`; true only if it does.
+  bool Encloses(const core::LatticeBox& box) const;
+
   /// A box that holds every lattice point of the region; empty (min >= max on
   /// an axis) if there is none.
   const core::LatticeBox& bounds() const { return bounds_; }

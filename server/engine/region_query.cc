@@ -18,6 +18,7 @@
 #include "core/sampling/spatial_budget.h"
 #include "server/engine/answer_columns.h"
 #include "server/engine/chunk_reader.h"
+#include "server/engine/chunk_walk.h"
 #include "server/engine/opaque_records.h"
 #include "server/engine/product_chunk.h"
 
@@ -32,8 +33,6 @@ using storage::ChunkKind;
 using storage::ChunkRef;
 using storage::ReadSnapshot;
 
-/// Catalogue rows read at a time.
-constexpr int64_t kPageSize = 256;
 /// Of a candidate under a budget: position, label, a row number and the
 /// sample's own row number.
 constexpr int64_t kCandidateBytes =
@@ -45,50 +44,6 @@ constexpr int64_t kChosenBytes = 80;
 constexpr int64_t kChunkCopies = 3;
 /// A batch before and after it is encoded.
 constexpr int64_t kBatchCopies = 4;
-
-/// The chunks of a snapshot that may hold points of a region, by tile.
-class ChunkWalk {
- public:
-  ChunkWalk(const ReadSnapshot& snapshot, ChunkKind kind,
-            const std::optional<Region>& region)
-      : snapshot_(snapshot), kind_(kind), region_(region) {}
-
-  absl::StatusOr<std::optional<ChunkRef>> Next() {
-    while (true) {
-      if (next_ == page_.size()) {
-        if (is_last_page_) return std::nullopt;
-        MAPSIEVE_RETURN_IF_ERROR(ReadPage());
-        continue;
-      }
-      ChunkRef& chunk = page_[next_++];
-      if (!region_.has_value() || region_->Intersects(chunk.bounds)) {
-        return std::move(chunk);
-      }
-    }
-  }
-
- private:
-  absl::Status ReadPage() {
-    std::optional<core::LatticeBox> bounds;
-    if (region_.has_value()) bounds = region_->bounds();
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        page_, snapshot_.ListChunks(kind_, bounds, after_, kPageSize));
-    next_ = 0;
-    is_last_page_ = static_cast<int64_t>(page_.size()) < kPageSize;
-    if (!page_.empty()) {
-      after_ = storage::ChunkPosition{page_.back().tile, page_.back().number};
-    }
-    return absl::OkStatus();
-  }
-
-  const ReadSnapshot& snapshot_;
-  const ChunkKind kind_;
-  const std::optional<Region>& region_;
-  std::vector<ChunkRef> page_;
-  size_t next_ = 0;
-  std::optional<storage::ChunkPosition> after_;
-  bool is_last_page_ = false;
-};
 
 /// What makes a point of a snapshot part of an answer.
 struct PointFilter {

@@ -14,6 +14,7 @@
 #include "core/geometry/lattice.h"
 #include "core/spdf/labels.h"
 #include "core/spdf/spdf_options.h"
+#include "server/engine/region.h"
 
 /// What the engine takes and gives besides queries (region_query.h). Fields
 /// that come from outside are validated by the engine, with the errors that
@@ -118,15 +119,72 @@ struct MapStats {
 };
 
 /// What made a revision.
-enum class RevisionKind { kCreate, kUpload, kProcess };
+enum class RevisionKind {
+  kCreate,
+  kUpload,
+  kProcess,
+  kDeleteRegion,
+  kReplaceRegion,
+  kRollback
+};
 
 struct RevisionInfo {
   int64_t number = 0;
   RevisionKind kind = RevisionKind::kCreate;
   absl::Time create_time;
+  /// Of kUpload and kReplaceRegion, else empty.
+  std::string upload_id;
+  /// Of kDeleteRegion and kReplaceRegion: what lost its points.
+  std::optional<RegionShape> region;
+  /// Of kProcess.
+  std::optional<core::SpdfOptions> options;
+  /// Of kRollback: the revision that it equals; else 0.
+  int64_t restored_revision = 0;
+  /// Raw points that it has and the revision before has not, and the other way
+  /// round; of kRollback the difference of the two counts.
+  int64_t added_point_count = 0;
+  int64_t removed_point_count = 0;
   int64_t raw_point_count = 0;
-  /// The newest processed revision as of this one; 0: none.
+  /// The processed revision that queries of this one answer from; 0: none.
   int64_t processed_revision = 0;
+  /// What a query of the whole revision returns, and that by label.
+  int64_t point_count = 0;
+  core::LabelCounts label_counts{};
+  /// Bytes of all blobs; most are shared with other revisions.
+  int64_t stored_bytes = 0;
+  int64_t tile_count = 0;
+  int64_t stale_tile_count = 0;
+};
+
+/// What happened to the points of one kind in a tile.
+enum class TileChangeKind {
+  /// The same points, or none before and after.
+  kNone,
+  kAdded,
+  kRemoved,
+  kChanged
+};
+
+/// How a tile differs between two revisions.
+struct TileChange {
+  core::CellKey tile;
+  TileChangeKind raw = TileChangeKind::kNone;
+  /// Of what the filter made.
+  TileChangeKind product = TileChangeKind::kNone;
+  int64_t base_raw_point_count = 0;
+  int64_t target_raw_point_count = 0;
+  /// Survivors of the filter by label, outliers included.
+  core::LabelCounts base_label_counts{};
+  core::LabelCounts target_label_counts{};
+
+  friend bool operator==(const TileChange&, const TileChange&) = default;
+};
+
+struct RevisionComparison {
+  RevisionInfo base;
+  RevisionInfo target;
+  /// In Morton order. A page may hold fewer than asked for, even none.
+  Page<TileChange> tiles;
 };
 
 // Uploads.
@@ -160,6 +218,8 @@ struct UploadReport {
   int64_t revision = 0;
   int64_t added_point_count = 0;
   core::RefusedCounts refused;
+  /// Raw points of the region that the upload replaced.
+  int64_t removed_point_count = 0;
   /// Point blocks in the upload.
   int64_t block_count = 0;
   /// Tiles that got points.
@@ -193,7 +253,7 @@ struct UploadInfo {
 
 // Operations.
 
-enum class OperationVerb { kFinalizeUpload, kProcessMap };
+enum class OperationVerb { kFinalizeUpload, kProcessMap, kDeleteRegion };
 enum class OperationState {
   kQueued,
   kRunning,
@@ -223,6 +283,18 @@ struct ProcessReport {
   friend bool operator==(const ProcessReport&, const ProcessReport&) = default;
 };
 
+/// What deleting a region did.
+struct DeleteReport {
+  /// The revision without the points; the newest one if there were none.
+  int64_t revision = 0;
+  /// Raw points taken out; 0: no revision was made.
+  int64_t removed_point_count = 0;
+  /// Tiles that lost points.
+  int64_t tile_count = 0;
+
+  friend bool operator==(const DeleteReport&, const DeleteReport&) = default;
+};
+
 /// Work that outlasts a call and a restart.
 struct Operation {
   std::string operation_id;
@@ -244,6 +316,7 @@ struct Operation {
   /// Once it succeeded, the one of its verb.
   std::optional<UploadReport> upload_report;
   std::optional<ProcessReport> process_report;
+  std::optional<DeleteReport> delete_report;
 
   bool done() const {
     return state != OperationState::kQueued &&

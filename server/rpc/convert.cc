@@ -75,24 +75,45 @@ core::Point3 FromVector(const v1::Vector3& vector) {
   return {vector.x(), vector.y(), vector.z()};
 }
 
-absl::StatusOr<std::optional<engine::RegionShape>> ToRegion(
-    const v1::QueryRegionRequest& request) {
+// The region of any request that has a field `region`.
+template <typename Request>
+absl::StatusOr<std::optional<engine::RegionShape>> RegionOf(
+    const Request& request) {
   switch (request.region_case()) {
-    case v1::QueryRegionRequest::kBox: {
+    case Request::kBox: {
       const v1::Box& box = request.box();
       if (!box.has_min()) return InvalidField("box.min", "missing");
       if (!box.has_max()) return InvalidField("box.max", "missing");
       return engine::Box{FromVector(box.min()), FromVector(box.max())};
     }
-    case v1::QueryRegionRequest::kSphere: {
+    case Request::kSphere: {
       const v1::Sphere& sphere = request.sphere();
       if (!sphere.has_center()) return InvalidField("sphere.center", "missing");
       return engine::Sphere{FromVector(sphere.center()), sphere.radius()};
     }
-    case v1::QueryRegionRequest::REGION_NOT_SET:
+    case Request::REGION_NOT_SET:
       break;
   }
   return std::nullopt;
+}
+
+std::string UploadNameOf(std::string_view map_id,
+                         const std::string& upload_id) {
+  return absl::StrCat("maps/", ToAbsl(map_id), "/uploads/", upload_id);
+}
+
+v1::TileChange::Change ToChange(engine::TileChangeKind kind) {
+  switch (kind) {
+    case engine::TileChangeKind::kNone:
+      return v1::TileChange::CHANGE_NONE;
+    case engine::TileChangeKind::kAdded:
+      return v1::TileChange::CHANGE_ADDED;
+    case engine::TileChangeKind::kRemoved:
+      return v1::TileChange::CHANGE_REMOVED;
+    case engine::TileChangeKind::kChanged:
+      return v1::TileChange::CHANGE_CHANGED;
+  }
+  return v1::TileChange::CHANGE_UNSPECIFIED;
 }
 
 absl::StatusOr<engine::ColumnSelection> ToColumnSelection(
@@ -224,7 +245,7 @@ absl::StatusOr<engine::QuerySpec> ToQuerySpec(
   engine::QuerySpec spec;
   MAPSIEVE_ASSIGN_OR_RETURN(spec.map_id, ParseMapName("name", request.name()));
   spec.revision = request.revision();
-  MAPSIEVE_ASSIGN_OR_RETURN(spec.region, ToRegion(request));
+  MAPSIEVE_ASSIGN_OR_RETURN(spec.region, RegionOf(request));
   for (int i = 0; i < request.labels_size(); ++i) {
     const v1::Label label = request.labels(i);
     if (label < v1::LABEL_JUNCTION || label > v1::LABEL_SURFACE) {
@@ -258,6 +279,18 @@ absl::StatusOr<engine::QuerySpec> ToQuerySpec(
                        static_cast<int>(request.representative())));
   }
   return spec;
+}
+
+absl::StatusOr<std::optional<engine::RegionShape>> ToRegion(
+    const v1::FinalizeUploadRequest& request) {
+  return RegionOf(request);
+}
+
+absl::StatusOr<engine::RegionShape> ToRegion(
+    const v1::DeleteRegionRequest& request) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const auto region, RegionOf(request));
+  if (region.has_value()) return *region;
+  return InvalidField("region", "missing: give a box or a sphere");
 }
 
 absl::StatusOr<std::string_view> CheckedContent(
@@ -319,7 +352,8 @@ v1::MapStats ToProto(std::string_view map_id, const engine::MapStats& stats) {
   return result;
 }
 
-v1::Revision ToProto(const engine::RevisionInfo& revision) {
+v1::Revision ToProto(std::string_view map_id,
+                     const engine::RevisionInfo& revision) {
   v1::Revision result;
   result.set_number(revision.number);
   switch (revision.kind) {
@@ -332,17 +366,61 @@ v1::Revision ToProto(const engine::RevisionInfo& revision) {
     case engine::RevisionKind::kProcess:
       result.set_kind(v1::Revision::KIND_PROCESS);
       break;
+    case engine::RevisionKind::kDeleteRegion:
+      result.set_kind(v1::Revision::KIND_DELETE_REGION);
+      break;
+    case engine::RevisionKind::kReplaceRegion:
+      result.set_kind(v1::Revision::KIND_REPLACE_REGION);
+      break;
+    case engine::RevisionKind::kRollback:
+      result.set_kind(v1::Revision::KIND_ROLLBACK);
+      break;
   }
   *result.mutable_create_time() = ToTimestamp(revision.create_time);
   result.set_raw_point_count(revision.raw_point_count);
   result.set_processed_revision(revision.processed_revision);
+  if (!revision.upload_id.empty()) {
+    result.set_upload(UploadNameOf(map_id, revision.upload_id));
+  }
+  if (revision.region) {
+    if (const auto* box = std::get_if<engine::Box>(&*revision.region)) {
+      *result.mutable_box()->mutable_min() = ToVector(box->min);
+      *result.mutable_box()->mutable_max() = ToVector(box->max);
+    } else {
+      const auto& sphere = std::get<engine::Sphere>(*revision.region);
+      *result.mutable_sphere()->mutable_center() = ToVector(sphere.center);
+      result.mutable_sphere()->set_radius(sphere.radius);
+    }
+  }
+  if (revision.options) *result.mutable_options() = ToProto(*revision.options);
+  result.set_restored_revision(revision.restored_revision);
+  result.set_added_point_count(revision.added_point_count);
+  result.set_removed_point_count(revision.removed_point_count);
+  result.set_point_count(revision.point_count);
+  *result.mutable_label_counts() = ToProto(revision.label_counts);
+  result.set_stored_bytes(revision.stored_bytes);
+  result.set_tile_count(revision.tile_count);
+  result.set_stale_tile_count(revision.stale_tile_count);
+  return result;
+}
+
+v1::TileChange ToProto(const engine::TileChange& change) {
+  v1::TileChange result;
+  result.set_x(change.tile.x);
+  result.set_y(change.tile.y);
+  result.set_z(change.tile.z);
+  result.set_raw(ToChange(change.raw));
+  result.set_product(ToChange(change.product));
+  result.set_base_raw_point_count(change.base_raw_point_count);
+  result.set_target_raw_point_count(change.target_raw_point_count);
+  *result.mutable_base_label_counts() = ToProto(change.base_label_counts);
+  *result.mutable_target_label_counts() = ToProto(change.target_label_counts);
   return result;
 }
 
 v1::Upload ToProto(std::string_view map_id, const engine::UploadInfo& upload) {
   v1::Upload result;
-  result.set_name(absl::StrCat("maps/", ToAbsl(map_id), "/uploads/",
-                               upload.spec.upload_id));
+  result.set_name(UploadNameOf(map_id, upload.spec.upload_id));
   switch (upload.state) {
     case engine::UploadState::kActive:
       result.set_state(v1::Upload::STATE_ACTIVE);
@@ -373,6 +451,7 @@ v1::UploadReport ToProto(const engine::UploadReport& report) {
   result.set_added_point_count(report.added_point_count);
   result.set_refused_non_finite_count(report.refused.non_finite);
   result.set_refused_out_of_lattice_count(report.refused.out_of_lattice);
+  result.set_removed_point_count(report.removed_point_count);
   result.set_block_count(report.block_count);
   result.set_tile_count(report.tile_count);
   if (report.bounds) *result.mutable_bounds() = ToBox(*report.bounds);
@@ -389,6 +468,9 @@ v1::Operation ToProto(const engine::Operation& operation) {
       break;
     case engine::OperationVerb::kProcessMap:
       metadata.set_verb("ProcessMap");
+      break;
+    case engine::OperationVerb::kDeleteRegion:
+      metadata.set_verb("DeleteRegion");
       break;
   }
   metadata.set_target(std::move(target));
@@ -422,6 +504,13 @@ v1::Operation ToProto(const engine::Operation& operation) {
     response.set_outlier_count(report.outlier_count);
     response.set_round_count(report.round_count);
     response.set_updated_tile_count(report.updated_tile_count);
+    result.mutable_response()->PackFrom(response);
+  } else if (operation.delete_report) {
+    v1::DeleteRegionResponse response;
+    response.set_revision(operation.delete_report->revision);
+    response.set_removed_point_count(
+        operation.delete_report->removed_point_count);
+    response.set_tile_count(operation.delete_report->tile_count);
     result.mutable_response()->PackFrom(response);
   } else {
     *result.mutable_error() = ToRpcStatus(operation.error);

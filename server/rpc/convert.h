@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_SERVER_RPC_CONVERT_H_
 #define MAPSIEVE_SERVER_RPC_CONVERT_H_
 
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -55,6 +56,12 @@ absl::StatusOr<engine::UploadSpec> ToUploadSpec(
 absl::StatusOr<core::SpdfOptions> ToSpdfOptions(const v1::SpdfOptions& options);
 absl::StatusOr<engine::QuerySpec> ToQuerySpec(
     const v1::QueryRegionRequest& request);
+/// The region of a request; nothing if it has none.
+absl::StatusOr<std::optional<engine::RegionShape>> ToRegion(
+    const v1::FinalizeUploadRequest& request);
+/// kInvalidArgument also for a request without a region.
+absl::StatusOr<engine::RegionShape> ToRegion(
+    const v1::DeleteRegionRequest& request);
 
 /// The content of `data` after its checksum was compared. kInvalidArgument: no
 /// content, more than 1 MiB, no checksum; kDataLoss: another checksum.
@@ -65,7 +72,9 @@ absl::StatusOr<std::string_view> CheckedContent(
 
 v1::Map ToProto(const engine::MapInfo& map);
 v1::MapStats ToProto(std::string_view map_id, const engine::MapStats& stats);
-v1::Revision ToProto(const engine::RevisionInfo& revision);
+v1::Revision ToProto(std::string_view map_id,
+                     const engine::RevisionInfo& revision);
+v1::TileChange ToProto(const engine::TileChange& change);
 v1::Upload ToProto(std::string_view map_id, const engine::UploadInfo& upload);
 v1::UploadReport ToProto(const engine::UploadReport& report);
 v1::Operation ToProto(const engine::Operation& operation);

@@ -80,11 +80,62 @@ grpc::ServerUnaryReactor* MapService::ListRevisions(
         MAPSIEVE_ASSIGN_OR_RETURN(
             auto page, engine_.ListRevisions(map_id, ToPageRequest(*request)));
         for (const engine::RevisionInfo& revision : page.items) {
-          *response->add_revisions() = ToProto(revision);
+          *response->add_revisions() = ToProto(map_id, revision);
         }
         response->set_next_page_token(std::move(page.next_page_token));
         return absl::OkStatus();
       });
+}
+
+grpc::ServerUnaryReactor* MapService::CompareRevisions(
+    grpc::CallbackServerContext* context,
+    const v1::CompareRevisionsRequest* request,
+    v1::CompareRevisionsResponse* response) {
+  return RunUnary(
+      calls_, "CompareRevisions", context, [=, this]() -> absl::Status {
+        MAPSIEVE_ASSIGN_OR_RETURN(const auto map_id,
+                                  ParseMapName("name", request->name()));
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            auto comparison,
+            engine_.CompareRevisions(map_id, request->base_revision(),
+                                     request->target_revision(),
+                                     ToPageRequest(*request)));
+        *response->mutable_base() = ToProto(map_id, comparison.base);
+        *response->mutable_target() = ToProto(map_id, comparison.target);
+        for (const engine::TileChange& change : comparison.tiles.items) {
+          *response->add_tiles() = ToProto(change);
+        }
+        response->set_next_page_token(
+            std::move(comparison.tiles.next_page_token));
+        return absl::OkStatus();
+      });
+}
+
+grpc::ServerUnaryReactor* MapService::DeleteRegion(
+    grpc::CallbackServerContext* context,
+    const v1::DeleteRegionRequest* request, v1::Operation* response) {
+  return RunUnary(calls_, "DeleteRegion", context, [=, this]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto map_id,
+                              ParseMapName("name", request->name()));
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto region, ToRegion(*request));
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto operation,
+                              engine_.DeleteRegion(map_id, region));
+    *response = ToProto(operation);
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* MapService::RollBackMap(
+    grpc::CallbackServerContext* context, const v1::RollBackMapRequest* request,
+    v1::Revision* response) {
+  return RunUnary(calls_, "RollBackMap", context, [=, this]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto map_id,
+                              ParseMapName("name", request->name()));
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto revision,
+                              engine_.RollBack(map_id, request->revision()));
+    *response = ToProto(map_id, revision);
+    return absl::OkStatus();
+  });
 }
 
 }  // namespace mapsieve::rpc

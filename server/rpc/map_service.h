@@ -33,6 +33,16 @@ class MapService final : public v1::MapService::CallbackService {
       grpc::CallbackServerContext* context,
       const v1::ListRevisionsRequest* request,
       v1::ListRevisionsResponse* response) override;
+  grpc::ServerUnaryReactor* CompareRevisions(
+      grpc::CallbackServerContext* context,
+      const v1::CompareRevisionsRequest* request,
+      v1::CompareRevisionsResponse* response) override;
+  grpc::ServerUnaryReactor* DeleteRegion(grpc::CallbackServerContext* context,
+                                         const v1::DeleteRegionRequest* request,
+                                         v1::Operation* response) override;
+  grpc::ServerUnaryReactor* RollBackMap(grpc::CallbackServerContext* context,
+                                        const v1::RollBackMapRequest* request,
+                                        v1::Revision* response) override;
 
  private:
   CallContext& calls_;

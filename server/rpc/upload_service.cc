@@ -155,9 +155,10 @@ grpc::ServerUnaryReactor* UploadService::FinalizeUpload(
       calls_, "FinalizeUpload", context, [=, this]() -> absl::Status {
         MAPSIEVE_ASSIGN_OR_RETURN(const UploadName name,
                                   ParseUploadName("name", request->name()));
+        MAPSIEVE_ASSIGN_OR_RETURN(const auto region, ToRegion(*request));
         MAPSIEVE_ASSIGN_OR_RETURN(
             const auto operation,
-            engine_.FinalizeUpload(name.map_id, name.upload_id));
+            engine_.FinalizeUpload(name.map_id, name.upload_id, region));
         *response = ToProto(operation);
         return absl::OkStatus();
       });

@@ -13,6 +13,7 @@
 #include "core/codec/points_codec.h"
 #include "core/spdf/cloud_filter.h"
 #include "gtest/gtest.h"
+#include "server/engine/job_manager.h"
 #include "server/engine/region_query.h"
 #include "tests/testing/clouds.h"
 
@@ -207,8 +208,9 @@ storage::MapRecord Workshop::map() {
   return *map;
 }
 
-absl::StatusOr<UploadReport> Workshop::Add(const LatticeCloud& cloud,
-                                           const IngestLimits& limits) {
+absl::StatusOr<UploadReport> Workshop::Add(
+    const LatticeCloud& cloud, const IngestLimits& limits,
+    const std::optional<RegionShape>& region) {
   const std::vector<std::byte> bytes = MakeUpload(cloud);
   MAPSIEVE_ASSIGN_OR_RETURN(
       storage::UploadRecord upload,
@@ -222,7 +224,7 @@ absl::StatusOr<UploadReport> Workshop::Add(const LatticeCloud& cloud,
     MAPSIEVE_RETURN_IF_ERROR(writer->Append(0, bytes));
     MAPSIEVE_RETURN_IF_ERROR(writer->Commit().status());
   }
-  return AddUpload(*store_, "map", upload.uid, limits,
+  return AddUpload(*store_, "map", upload.uid, region, limits,
                    {.executor = workers_.get()});
 }
 
@@ -233,6 +235,21 @@ absl::StatusOr<ProcessReport> Workshop::Process(
   own.executor = workers_.get();
   return ProcessStoredMap(*store_, "map", map().uid, options, limits, *workers_,
                           own);
+}
+
+absl::StatusOr<DeleteReport> Workshop::Delete(const RegionShape& region,
+                                              const IngestLimits& limits,
+                                              const ExecutionContext& context) {
+  ExecutionContext own = context;
+  own.executor = workers_.get();
+  const storage::MapRecord now = map();
+  return DeleteStoredRegion(*store_, "map",
+                            {.verb = OperationVerb::kDeleteRegion,
+                             .map_uid = now.uid,
+                             .region = region,
+                             .edit_uid = NewRandomId(),
+                             .base_revision = now.newest_revision},
+                            limits, own);
 }
 
 absl::StatusOr<Answer> Workshop::Query(QuerySpec spec) {
@@ -285,10 +302,11 @@ absl::Status Service::Stage(const std::string& map_id,
   return writer->Commit().status();
 }
 
-absl::StatusOr<Operation> Service::Finalize(const std::string& map_id,
-                                            const std::string& upload_id) {
+absl::StatusOr<Operation> Service::Finalize(
+    const std::string& map_id, const std::string& upload_id,
+    const std::optional<RegionShape>& region) {
   MAPSIEVE_ASSIGN_OR_RETURN(const Operation operation,
-                            engine_->FinalizeUpload(map_id, upload_id));
+                            engine_->FinalizeUpload(map_id, upload_id, region));
   return engine_->WaitOperation(operation.operation_id, absl::Minutes(2));
 }
 
@@ -306,6 +324,17 @@ absl::StatusOr<Operation> Service::Process(
     const std::optional<core::SpdfOptions>& options) {
   MAPSIEVE_ASSIGN_OR_RETURN(const Operation started,
                             engine_->ProcessMap(map_id, options));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      Operation operation,
+      engine_->WaitOperation(started.operation_id, absl::Minutes(2)));
+  MAPSIEVE_RETURN_IF_ERROR(operation.error);
+  return operation;
+}
+
+absl::StatusOr<Operation> Service::Delete(const std::string& map_id,
+                                          const RegionShape& region) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const Operation started,
+                            engine_->DeleteRegion(map_id, region));
   MAPSIEVE_ASSIGN_OR_RETURN(
       Operation operation,
       engine_->WaitOperation(started.operation_id, absl::Minutes(2)));

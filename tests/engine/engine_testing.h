@@ -11,6 +11,7 @@
 #include "absl/status/statusor.h"
 #include "core/cloud/point_cloud.h"
 #include "core/spdf/spdf_options.h"
+#include "server/engine/edit_map.h"
 #include "server/engine/engine.h"
 #include "server/engine/ingest.h"
 #include "server/engine/memory_pool.h"
@@ -71,8 +72,12 @@ class Workshop {
   storage::Store& store() { return *store_; }
   storage::MapRecord map();
   /// Stages and adds one upload.
-  absl::StatusOr<UploadReport> Add(const core::LatticeCloud& cloud,
-                                   const IngestLimits& limits);
+  absl::StatusOr<UploadReport> Add(
+      const core::LatticeCloud& cloud, const IngestLimits& limits,
+      const std::optional<RegionShape>& region = std::nullopt);
+  absl::StatusOr<DeleteReport> Delete(const RegionShape& region,
+                                      const IngestLimits& limits,
+                                      const ExecutionContext& context = {});
   absl::StatusOr<ProcessReport> Process(const core::SpdfOptions& options,
                                         const ProcessLimits& limits,
                                         const ExecutionContext& context = {});
@@ -108,11 +113,15 @@ class Service {
   absl::StatusOr<Operation> Upload(const std::string& map_id,
                                    const std::string& upload_id,
                                    const core::LatticeCloud& cloud);
-  absl::StatusOr<Operation> Finalize(const std::string& map_id,
-                                     const std::string& upload_id);
+  absl::StatusOr<Operation> Finalize(
+      const std::string& map_id, const std::string& upload_id,
+      const std::optional<RegionShape>& region = std::nullopt);
   absl::StatusOr<Operation> Process(
       const std::string& map_id,
       const std::optional<core::SpdfOptions>& options = std::nullopt);
+  /// Deletes a region, to the end of the operation.
+  absl::StatusOr<Operation> Delete(const std::string& map_id,
+                                   const RegionShape& region);
   absl::StatusOr<Answer> Query(const QuerySpec& spec);
 
  private:

@@ -93,6 +93,27 @@ TEST(OpaqueRecords, ComeBackAsTheyWere) {
                            .map_uid = "map",
                            .options = kOptions};
   ExpectRoundTrip(process, FormatJobSpec(process), ParseJobSpec);
+  for (const std::optional<RegionShape>& region :
+       {std::optional<RegionShape>(),
+        std::optional<RegionShape>(Box{{-1, -2, -3}, {4, 5, 6.5}}),
+        std::optional<RegionShape>(Sphere{{1, 2, 3}, 0.1})}) {
+    JobSpec replace = finalize;
+    replace.region = region;
+    ExpectRoundTrip(replace, FormatJobSpec(replace), ParseJobSpec);
+    const JobSpec deletion = {.verb = OperationVerb::kDeleteRegion,
+                              .map_uid = "map",
+                              .region = region,
+                              .edit_uid = "edit",
+                              .base_revision = 17};
+    ExpectRoundTrip(deletion, FormatJobSpec(deletion), ParseJobSpec);
+    const EditRecord edit = {.edit_uid = "edit",
+                             .upload_id = "id",
+                             .region = region,
+                             .added_point_count = 5,
+                             .removed_point_count = 6,
+                             .tile_count = 7};
+    ExpectRoundTrip(edit, FormatEditRecord(edit), ParseEditRecord);
+  }
 }
 
 TEST(OpaqueRecords, OutcomeHoldsTheResultOfItsVerb) {
@@ -109,6 +130,12 @@ TEST(OpaqueRecords, OutcomeHoldsTheResultOfItsVerb) {
       const JobOutcome process,
       ParseJobOutcome(FormatJobOutcome({start, ProcessReport{.revision = 2}})));
   EXPECT_EQ(std::get<ProcessReport>(process.result).revision, 2);
+  const DeleteReport report = {
+      .revision = 3, .removed_point_count = 4, .tile_count = 5};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const JobOutcome deletion,
+      ParseJobOutcome(FormatJobOutcome({start, report})));
+  EXPECT_EQ(std::get<DeleteReport>(deletion.result), report);
 }
 
 TEST(ProductChunk, RefusesColumnsThatAreNone) {

@@ -78,12 +78,13 @@ TEST(Region, AgreesWithPositionsWhateverTheStep) {
   }
 }
 
-TEST(Region, NoContainedPointLiesInABoxThatItDoesNotMeet) {
+TEST(Region, NoBoxThatItDoesNotMeetHoldsItsPointsAndOneItEnclosesNoOthers) {
   std::mt19937 random(5);
   const auto uniform = [&](int64_t low, int64_t high) {
     return std::uniform_int_distribution<int64_t>(low, high)(random);
   };
   const Lattice lattice(250'000'000);
+  int enclosed = 0;
   int met = 0;
   int missed = 0;
   for (int i = 0; i < 3000; ++i) {
@@ -98,16 +99,22 @@ TEST(Region, NoContainedPointLiesInABoxThatItDoesNotMeet) {
         min,
         {min.x + uniform(1, 5), min.y + uniform(1, 5), min.z + uniform(1, 5)}};
     bool holds = false;
+    bool holds_all = true;
     for (int64_t x = box.min.x; x < box.max.x; ++x) {
       for (int64_t y = box.min.y; y < box.max.y; ++y) {
         for (int64_t z = box.min.z; z < box.max.z; ++z) {
           holds = holds || region.Contains({x, y, z});
+          holds_all = holds_all && region.Contains({x, y, z});
         }
       }
     }
     EXPECT_TRUE(!holds || region.Intersects(box));
+    EXPECT_TRUE(holds_all || !region.Encloses(box));
+    enclosed += region.Encloses(box);
+    EXPECT_TRUE(!region.Encloses(box) || region.Intersects(box));
     ++(region.Intersects(box) ? met : missed);
   }
+  EXPECT_GT(enclosed, 10);
   EXPECT_GT(met, 50);
   EXPECT_GT(missed, 50);
 }

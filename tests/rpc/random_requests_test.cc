@@ -142,6 +142,8 @@ TEST_F(RandomRequestsTest, AreAnsweredAndNeverEndTheServer) {
          &MapStub::GetMapStats);
     call("ListRevisions", v1::ListRevisionsRequest(),
          v1::ListRevisionsResponse(), c.maps, &MapStub::ListRevisions);
+    call("CompareRevisions", v1::CompareRevisionsRequest(),
+         v1::CompareRevisionsResponse(), c.maps, &MapStub::CompareRevisions);
     call("CreateUpload", v1::CreateUploadRequest(), v1::Upload(), c.uploads,
          &UploadStub::CreateUpload);
     call("GetUpload", v1::GetUploadRequest(), v1::Upload(), c.uploads,
@@ -191,6 +193,13 @@ TEST_F(RandomRequestsTest, AreAnsweredAndNeverEndTheServer) {
   raw.set_raw(true);
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer, client_->Query(raw));
   EXPECT_EQ(answer.cloud.size(), 500U);
+  for (int round = 0; round < 60; ++round) {
+    call("DeleteRegion", v1::DeleteRegionRequest(), v1::Operation(),
+         client_->maps, &MapStub::DeleteRegion);
+    call("RollBackMap", v1::RollBackMapRequest(), v1::Revision(), client_->maps,
+         &MapStub::RollBackMap);
+  }
+  MAPSIEVE_EXPECT_OK(client_->CreateMap("alive"));
 }
 
 }  // namespace

@@ -147,6 +147,14 @@ TEST_F(ServiceTest, EmptyMessagesGetAnAnswerThatNamesTheField) {
   v1::ListRevisionsResponse revisions;
   expect_invalid("ListRevisions",
                  client_->maps->ListRevisions(context().get(), {}, &revisions));
+  v1::CompareRevisionsResponse comparison;
+  expect_invalid("CompareRevisions", client_->maps->CompareRevisions(
+                                         context().get(), {}, &comparison));
+  expect_invalid("DeleteRegion",
+                 client_->maps->DeleteRegion(context().get(), {}, &operation));
+  v1::Revision revision;
+  expect_invalid("RollBackMap",
+                 client_->maps->RollBackMap(context().get(), {}, &revision));
   expect_invalid("CreateUpload",
                  client_->uploads->CreateUpload(context().get(), {}, &upload));
   expect_invalid("GetUpload",

@@ -1,0 +1,210 @@
+#!/usr/bin/python3
+"""Edits of a stored map as a user makes them: a real server, real files.
+
+usage: edits_test.py BIN_DIR
+"""
+
+import csv
+import json
+import pathlib
+import signal
+import subprocess
+import sys
+import tempfile
+import unittest
+
+BIN = pathlib.Path(sys.argv[1])
+STEP = 0.001
+
+
+class Edits(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.TemporaryDirectory()
+        cls.work = pathlib.Path(cls.folder.name)
+        cls.start_server()
+        cls.source = cls.work / "scan.csv"
+        subprocess.run([BIN / "mapsieve", "simulate", cls.work / "scan.las",
+                        "--points", "40000"], check=True, capture_output=True)
+        subprocess.run([BIN / "mapsieve", "convert", cls.work / "scan.las",
+                        cls.source], check=True, capture_output=True)
+        with open(cls.source, newline="") as file:
+            cls.header, *cls.points = list(csv.reader(file))
+        middle = sorted(cls.points, key=lambda p: float(p[0]))[20000]
+        cls.center = [float(v) for v in middle[:3]]
+        cls.radius = 12.0
+
+    @classmethod
+    def start_server(cls):
+        cls.server = subprocess.Popen(
+            [BIN / "mapsieved", "--data", cls.work / "data", "--listen",
+             "127.0.0.1:0"],
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        cls.address = cls.server.stdout.readline().split()[-1]
+
+    @classmethod
+    def stop_server(cls, with_signal):
+        cls.server.send_signal(with_signal)
+        cls.server.wait(timeout=60)
+        cls.server.stdout.close()
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.stop_server(signal.SIGTERM)
+        cls.folder.cleanup()
+
+    def run_command(self, *arguments):
+        return subprocess.run(
+            [BIN / "mapsieve", "--server", self.address, *map(str, arguments)],
+            capture_output=True, text=True, timeout=600)
+
+    def mapsieve(self, *arguments):
+        result = self.run_command("--json", *arguments)
+        self.assertEqual(result.returncode, 0, f"{arguments}: {result.stderr}")
+        return json.loads(result.stdout)
+
+    def fails(self, *arguments, status=1, message=""):
+        result = self.run_command(*arguments)
+        self.assertEqual(result.returncode, status,
+                         f"{arguments}: {result.stdout} {result.stderr}")
+        self.assertIn(message, result.stderr)
+
+    def answer(self, name, *options):
+        """The lines of an answer, sorted."""
+        path = self.work / "answer.csv"
+        self.mapsieve("query", name, *options, "-o", path)
+        return sorted(path.read_text().splitlines())
+
+    def make_map(self, name, points):
+        """A processed map of points."""
+        path = self.work / f"{name}.csv"
+        with open(path, "w", newline="") as file:
+            csv.writer(file).writerows([self.header, *points])
+        self.mapsieve("create", name, "--tile-edge", 4)
+        self.mapsieve("upload", name, path)
+        self.mapsieve("process", name, "--rho", "0.2")
+
+    def is_inside(self, point):
+        q = [round(float(v) / STEP) * STEP for v in point[:3]]
+        return sum((a - b) ** 2
+                   for a, b in zip(q, self.center)) <= self.radius ** 2
+
+    @property
+    def sphere(self):
+        return ("--sphere", *self.center, self.radius)
+
+    def test_delete_process_and_roll_back(self):
+        self.make_map("edited", self.points)
+        before = self.mapsieve("info", "edited")
+        answer = self.answer("edited")
+        rest = [p for p in self.points if not self.is_inside(p)]
+        self.assertLess(len(rest), len(self.points) - 100)
+        deleted = self.mapsieve("delete-region", "edited", *self.sphere)
+        self.assertEqual(deleted["removed_point_count"],
+                         len(self.points) - len(rest))
+        self.assertEqual(deleted["revision"], before["revision"] + 1)
+        info = self.mapsieve("info", "edited")
+        self.assertEqual(info["raw_point_count"], len(rest))
+        self.assertEqual(info["stale_tile_count"], deleted["tile_count"])
+        self.assertEqual(self.answer("edited"), answer)
+        again = self.mapsieve("delete-region", "edited", *self.sphere)
+        self.assertEqual(again["removed_point_count"], 0)
+        self.assertEqual(again["revision"], deleted["revision"])
+
+        self.stop_server(signal.SIGKILL)
+        self.start_server()
+        self.mapsieve("process", "edited")
+        self.make_map("scratch", rest)
+        self.assertEqual(self.answer("edited"), self.answer("scratch"))
+        self.assertEqual(self.answer("edited", "--raw"),
+                         self.answer("scratch", "--raw"))
+
+        back = self.mapsieve("rollback", "edited", "--to", before["revision"])
+        self.assertEqual(back["kind"], "rollback")
+        self.assertEqual(back["restored_revision"], before["revision"])
+        self.assertEqual(self.answer("edited"), answer)
+        after = self.mapsieve("info", "edited")
+        for key in ("raw_point_count", "point_count", "label_counts",
+                    "stored_bytes", "stale_tile_count", "bounds"):
+            self.assertEqual(after[key], before[key])
+        self.assertEqual(
+            self.mapsieve("rollback", "edited", "--to",
+                          before["revision"])["revision"], back["revision"])
+
+        kinds = ["rollback", "process", "delete-region", "process", "upload",
+                 "create"]
+        revisions = self.mapsieve("revisions", "edited")["revisions"]
+        self.assertEqual([r["kind"] for r in revisions], kinds)
+        self.assertEqual(after["revisions"], revisions)
+        self.assertEqual(revisions[2]["sphere"], [*self.center, self.radius])
+        self.assertEqual(revisions[1]["options"]["rho"], 0.2)
+        plain = self.run_command("info", "edited").stdout
+        self.assertIn("delete-region", plain)
+        self.assertIn("tile edge", plain)
+
+        tiles = self.work / "tiles.csv"
+        change = self.mapsieve("revisions", "edited", "--compare",
+                               before["revision"], deleted["revision"],
+                               "--tiles", tiles)
+        self.assertEqual(change["tiles_removed"] + change["tiles_changed_raw"],
+                         deleted["tile_count"])
+        self.assertEqual(change["tiles_added"], 0)
+        self.assertEqual(change["tiles_changed_product"], 0)
+        with open(tiles, newline="") as file:
+            rows = list(csv.DictReader(file))
+        self.assertEqual(len(rows), deleted["tile_count"])
+        self.assertEqual(
+            sum(int(r["raw_points_before"]) - int(r["raw_points_after"])
+                for r in rows), deleted["removed_point_count"])
+        change = self.mapsieve("revisions", "edited", "--compare",
+                               before["revision"], back["revision"])
+        self.assertEqual(change["tiles_changed_product"], 0)
+        self.assertEqual(change["label_counts_before"],
+                         change["label_counts_after"])
+
+    def test_replace_is_one_revision_of_several_files(self):
+        self.make_map("replaced", self.points)
+        first = self.mapsieve("info", "replaced")["revision"]
+        inside = [p for p in self.points if self.is_inside(p)]
+        halves = (self.work / "half1.csv", self.work / "half2.csv")
+        for path, part in zip(halves, (inside[::2], inside[1::2])):
+            with open(path, "w", newline="") as file:
+                csv.writer(file).writerows([self.header, *part])
+        answer = self.answer("replaced", "--raw")
+        for already_there in (False, True):
+            report = self.mapsieve("replace-region", "replaced", *halves,
+                                   *self.sphere)
+            self.assertEqual(report["already_there"], already_there)
+            self.assertEqual(report["revision"], first + 1)
+            self.assertEqual(
+                self.mapsieve("info", "replaced")["revision"], first + 1)
+            # Its own points took the place of those of the region.
+            self.assertEqual(self.answer("replaced", "--raw"), answer)
+        half = self.mapsieve("replace-region", "replaced", *self.sphere,
+                             halves[0])
+        self.assertEqual(half["removed_point_count"], len(inside))
+        self.assertEqual(half["added_point_count"], len(inside[::2]))
+
+    def test_refusals(self):
+        self.mapsieve("create", "refusing")
+        for command in (("delete-region", "refusing"),
+                        ("replace-region", "refusing", self.source),
+                        ("rollback", "refusing"),
+                        ("revisions", "refusing", "--compare", 1),
+                        ("revisions", "refusing", "--tiles", "x.csv"),
+                        ("delete-region", "refusing", *self.sphere, "--box",
+                         0, 0, 0, 1, 1, 1)):
+            self.fails(*command, status=2)
+        self.fails("delete-region", "refusing", "--sphere", 0, 0, 0, -1,
+                   message="radius")
+        self.fails("delete-region", "nosuchmap", *self.sphere,
+                   message="nosuchmap")
+        self.fails("rollback", "refusing", "--to", 2, message="1 to 1")
+        self.fails("revisions", "refusing", "--compare", 1, 7, message="7")
+        absent = self.work / "absent.las"
+        self.fails("replace-region", "refusing", *self.sphere, absent,
+                   message="absent.las")
+
+
+if __name__ == "__main__":
+    unittest.main(argv=sys.argv[:1], verbosity=2)

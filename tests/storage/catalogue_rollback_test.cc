@@ -1,0 +1,279 @@
+#include <algorithm>
+#include <iterator>
+#include <map>
+#include <random>
+#include <set>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "storage/catalogue.h"
+#include "tests/storage/catalogue_conformance.h"
+
+namespace mapsieve::storage {
+namespace {
+
+using ::mapsieve::testing::StatusIs;
+using ::testing::_;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+constexpr ChunkKind kKinds[] = {ChunkKind::kRaw, ChunkKind::kProduct};
+using TileLess = core::CellKeyLess;
+
+// All that a revision is, kept whole for each.
+struct ModelRevision {
+  std::map<ChunkKind, std::vector<ChunkRef>> chunks;
+  /// Tiles whose points changed after the product was made.
+  std::set<core::CellKey, TileLess> stale;
+  int64_t processed_revision = 0;
+  std::string options;
+  RevisionTotals totals;
+};
+
+bool HasRaw(const ModelRevision& revision, const core::CellKey& tile) {
+  const auto found = revision.chunks.find(ChunkKind::kRaw);
+  return found != revision.chunks.end() &&
+         std::any_of(found->second.begin(), found->second.end(),
+                     [&](const ChunkRef& c) { return c.tile == tile; });
+}
+
+class RandomHistory {
+ public:
+  explicit RandomHistory(uint64_t seed) : random_(seed) {
+    revisions_.resize(2);  // 0 is none; 1 is empty.
+  }
+
+  int64_t Draw(int64_t count) {
+    return static_cast<int64_t>(random_() % static_cast<uint64_t>(count));
+  }
+  ChunkRef DrawChunk(ChunkKind kind) {
+    // Few contents, so that blobs are shared.
+    const int64_t content = Draw(40);
+    return TestChunk(kind, Draw(3), Draw(2), 0, std::to_string(content),
+                     content + 1);
+  }
+
+  /// A change of the newest revision, whose chunks are `present`.
+  RevisionChange DrawChange(const std::vector<ChunkRef>& present) {
+    RevisionChange change;
+    const bool has_product = Draw(3) == 0;
+    const ChunkKind kind = has_product ? ChunkKind::kProduct : ChunkKind::kRaw;
+    for (int64_t i = Draw(5); i > 0; --i) {
+      change.added.push_back(DrawChunk(kind));
+    }
+    if (has_product) {
+      change.spec.kind = RevisionKind::kProcess;
+      change.spec.product.emplace().options = std::to_string(Draw(3));
+      change.removes_product = Draw(2) == 0;
+      if (change.removes_product) return change;
+    }
+    for (const ChunkRef& chunk : present) {
+      if (chunk.kind == kind && Draw(4) == 0) {
+        change.removed.push_back(chunk.number);
+      }
+    }
+    return change;
+  }
+
+  std::vector<ModelRevision>& revisions() { return revisions_; }
+
+ private:
+  std::mt19937_64 random_;
+  std::vector<ModelRevision> revisions_;
+};
+
+// The model's own way from one revision to the next.
+void Apply(const RevisionChange& change, int64_t number,
+           const ModelRevision& product_of, ModelRevision& revision) {
+  const auto touch = [&](const ChunkRef& chunk) {
+    if (chunk.kind == ChunkKind::kRaw) revision.stale.insert(chunk.tile);
+  };
+  for (auto& [kind, chunks] : revision.chunks) {
+    std::erase_if(chunks, [&](const ChunkRef& chunk) {
+      const bool gone =
+          std::count(change.removed.begin(), change.removed.end(),
+                     chunk.number) > 0 ||
+          (change.removes_product && chunk.kind == ChunkKind::kProduct);
+      if (gone) touch(chunk);
+      return gone;
+    });
+  }
+  for (const ChunkRef& chunk : change.added) {
+    revision.chunks[chunk.kind].push_back(chunk);
+    touch(chunk);
+  }
+  if (change.spec.product.has_value()) {
+    revision.processed_revision = number;
+    revision.options = change.spec.product->options;
+    revision.stale.clear();
+  }
+  std::erase_if(revision.stale, [&](const core::CellKey& tile) {
+    return !HasRaw(revision, tile) && !HasRaw(product_of, tile);
+  });
+}
+
+TEST_P(CatalogueTest, ARollbackEqualsItsTargetAndLeavesEveryRevisionAsItWas) {
+  for (const uint64_t seed : {1, 2, 3}) {
+    RandomHistory history(seed);
+    auto& model = history.revisions();
+    const MapRecord map = MakeMap("m" + std::to_string(seed));
+    int rollback_count = 0;
+    while (model.size() < 90) {
+      const auto newest = static_cast<int64_t>(model.size()) - 1;
+      ModelRevision next = model.back();
+      // The numbers that the catalogue has given.
+      std::vector<ChunkRef> present;
+      for (const ChunkKind kind : kKinds) {
+        next.chunks[kind] = Chunks(map, newest, kind);
+        present.insert(present.end(), next.chunks[kind].begin(),
+                       next.chunks[kind].end());
+      }
+      RevisionRecord made;
+      if (history.Draw(4) == 0) {
+        const int64_t target = 1 + history.Draw(newest);
+        MAPSIEVE_ASSERT_OK_AND_ASSIGN(const RevisionRecord before,
+                                      catalogue_->GetRevision(map.uid, newest));
+        MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+            made, catalogue_->RollBack(map.uid, target, "back"));
+        if (target == newest || before.restored_revision == target) {
+          ASSERT_EQ(made.number, newest);
+          continue;
+        }
+        ++rollback_count;
+        next = model[static_cast<size_t>(target)];
+        EXPECT_EQ(made.spec.kind, RevisionKind::kRollback);
+        EXPECT_EQ(made.spec.description, "back");
+        EXPECT_EQ(made.restored_revision, target);
+        EXPECT_EQ(made.totals, next.totals);
+      } else {
+        const RevisionChange change = history.DrawChange(present);
+        made = Commit(map, newest, change);
+        Apply(change, newest + 1,
+              model[static_cast<size_t>(next.processed_revision)], next);
+        next.totals = made.totals;
+        // Where a chunk lies in the order of its tile follows its number.
+        for (auto& [kind, chunks] : next.chunks) {
+          std::stable_sort(chunks.begin(), chunks.end(),
+                           [](const ChunkRef& a, const ChunkRef& b) {
+                             return TileLess()(a.tile, b.tile);
+                           });
+          chunks = WithoutNumbers(chunks);
+        }
+      }
+      ASSERT_EQ(made.number, newest + 1);
+      EXPECT_EQ(made.processed_revision, next.processed_revision);
+      EXPECT_EQ(made.totals.stale_tile_count,
+                static_cast<int64_t>(next.stale.size()))
+          << made.number;
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(const MapRecord now,
+                                    catalogue_->GetMap(map.spec.id));
+      EXPECT_EQ(now.newest_revision, made.number);
+      EXPECT_EQ(now.process_options, next.options);
+      model.push_back(std::move(next));
+    }
+    EXPECT_GT(rollback_count, 10);
+    Reopen();
+    for (size_t number = 1; number < model.size(); ++number) {
+      const auto revision = static_cast<int64_t>(number);
+      for (const ChunkKind kind : kKinds) {
+        EXPECT_EQ(WithoutNumbers(Chunks(map, revision, kind)),
+                  model[number].chunks[kind])
+            << "revision " << number;
+      }
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(const RevisionRecord record,
+                                    catalogue_->GetRevision(map.uid, revision));
+      EXPECT_EQ(record.totals, model[number].totals);
+    }
+  }
+}
+
+TEST_P(CatalogueTest, ARollbackToNoRevisionOrNoMapIsRefused) {
+  const MapRecord map = MakeMap("campus");
+  Commit(map, 1, Adding({}));
+  for (const int64_t number : {-1, 0, 3}) {
+    EXPECT_THAT(catalogue_->RollBack(map.uid, number, ""),
+                StatusIs(absl::StatusCode::kOutOfRange, HasSubstr("1 to 2")));
+  }
+  EXPECT_THAT(catalogue_->RollBack("nobody", 1, ""),
+              StatusIs(absl::StatusCode::kNotFound, _));
+  MAPSIEVE_ASSERT_OK(catalogue_->DeleteMap("campus"));
+  EXPECT_THAT(catalogue_->RollBack(map.uid, 1, ""),
+              StatusIs(absl::StatusCode::kNotFound, _));
+  RevisionChange change;
+  change.spec.kind = RevisionKind::kRollback;
+  EXPECT_THAT(catalogue_->CommitRevision(MakeMap("b").uid, 1, change),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("kind")));
+}
+
+TEST_P(CatalogueTest, TilesChangeWhereReferencesDiffer) {
+  const MapRecord map = MakeMap("campus");
+  const auto a = TestChunk(ChunkKind::kRaw, 0, 0, 0, "a", 1);
+  const auto b = TestChunk(ChunkKind::kRaw, 1, 0, 0, "b", 1);
+  const auto c = TestChunk(ChunkKind::kRaw, 0, 1, 0, "c", 1);
+  const auto p = TestChunk(ChunkKind::kProduct, 1, 0, 0, "p", 1);
+  Commit(map, 1, Adding({a, b}));
+  RevisionChange change = Adding({c, p});
+  change.removed = {Chunks(map, 2)[0].number};
+  Commit(map, 2, change);
+  const auto changed = [&](int64_t one, int64_t other, ChunkKind kind) {
+    return *catalogue_->ListChangedTiles(map.uid, one, other, kind,
+                                         std::nullopt, 10);
+  };
+  EXPECT_THAT(changed(1, 2, ChunkKind::kRaw), ElementsAre(a.tile, b.tile));
+  EXPECT_THAT(changed(2, 3, ChunkKind::kRaw), ElementsAre(a.tile, c.tile));
+  EXPECT_THAT(changed(3, 2, ChunkKind::kRaw), ElementsAre(a.tile, c.tile));
+  EXPECT_THAT(changed(1, 3, ChunkKind::kRaw), ElementsAre(b.tile, c.tile));
+  EXPECT_THAT(changed(2, 3, ChunkKind::kProduct), ElementsAre(p.tile));
+  EXPECT_THAT(changed(3, 3, ChunkKind::kRaw), IsEmpty());
+  EXPECT_THAT(*catalogue_->ListChangedTiles(map.uid, 2, 3, ChunkKind::kRaw,
+                                            std::nullopt, 1),
+              ElementsAre(a.tile));
+  EXPECT_THAT(
+      *catalogue_->ListChangedTiles(map.uid, 2, 3, ChunkKind::kRaw, a.tile, 10),
+      ElementsAre(c.tile));
+  for (const auto& [one, other] : {std::pair{0, 2}, {2, 4}}) {
+    EXPECT_THAT(catalogue_->ListChangedTiles(map.uid, one, other,
+                                             ChunkKind::kRaw, std::nullopt, 10),
+                StatusIs(absl::StatusCode::kOutOfRange, HasSubstr("1 to 3")));
+  }
+}
+
+TEST_P(CatalogueTest, ARepeatedRollbackMakesNothing) {
+  const MapRecord map = MakeMap("campus");
+  const auto chunk = TestChunk(ChunkKind::kRaw, 0, 0, 0, "a", 1);
+  Commit(map, 1, Adding({chunk}));
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 2, "")->number, 2);
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 1, "")->number, 3);
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 1, "")->number, 3);
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 3, "")->number, 3);
+  EXPECT_THAT(Chunks(map, 3), IsEmpty());
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 2, "")->number, 4);
+  EXPECT_THAT(WithoutNumbers(Chunks(map, 4)), ElementsAre(chunk));
+}
+
+TEST_P(CatalogueTest, AnUploadThatWasRolledBackBeginsAnew) {
+  const MapRecord map = MakeMap("campus");
+  const auto finalize = [&](const UploadRecord& upload, int64_t parent) {
+    EXPECT_THAT(catalogue_->SetUploadState(upload.uid, UploadState::kActive,
+                                           UploadState::kFinalizing, ""),
+                testing::IsOk());
+    RevisionChange change = Adding({});
+    change.finalized_upload_uid = upload.uid;
+    Commit(map, parent, change);
+  };
+  const UploadRecord a = MakeUpload(map, "a");
+  finalize(a, 1);
+  const UploadRecord b = MakeUpload(map, "b");
+  finalize(b, 2);
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 2, "").status());
+  EXPECT_EQ(MakeUpload(map, "a").uid, a.uid);
+  const UploadRecord again = MakeUpload(map, "b");
+  EXPECT_NE(again.uid, b.uid);
+  EXPECT_EQ(again.state, UploadState::kActive);
+  finalize(again, 4);
+  EXPECT_EQ(MakeUpload(map, "b").uid, again.uid);
+}
+
+}  // namespace
+}  // namespace mapsieve::storage
