@@ -177,7 +177,7 @@ enum class UploadState : uint8_t {
   kActive = 1,
   /// Its bytes are complete and become points.
   kFinalizing = 2,
-  /// Its points are in the map; its bytes are gone.
+  /// Its points were added to the map; its bytes are gone.
   kFinalized = 3,
   /// It did not become points; the report says why.
   kFailed = 4,

@@ -17,6 +17,11 @@
 namespace mapsieve::storage {
 namespace {
 
+// Now, as precisely as the tables keep it.
+absl::Time TimeOfTables() {
+  return absl::FromUnixMicros(absl::ToUnixMicros(absl::Now()));
+}
+
 absl::StatusOr<RevisionRecord> Commit(SqliteDatabase& database,
                                       const std::string& map_uid,
                                       int64_t expected_parent,
@@ -35,7 +40,7 @@ absl::StatusOr<RevisionRecord> Commit(SqliteDatabase& database,
   RevisionRecord revision;
   revision.number = expected_parent + 1;
   revision.parent = expected_parent;
-  revision.create_time = absl::Now();
+  revision.create_time = TimeOfTables();
   revision.spec = change.spec;
   revision.processed_revision = change.spec.product.has_value()
                                     ? revision.number
@@ -79,7 +84,7 @@ absl::StatusOr<RevisionRecord> RollBackTo(SqliteDatabase& database,
   const RevisionRecord revision = {
       .number = newest.number + 1,
       .parent = newest.number,
-      .create_time = absl::Now(),
+      .create_time = TimeOfTables(),
       .spec = {.kind = RevisionKind::kRollback,
                .description = description,
                .attributes = target.spec.attributes},

@@ -235,7 +235,7 @@ enum class UploadState {
   kActive,
   /// Its points are being added.
   kFinalizing,
-  /// Its points are in the map.
+  /// Its points were added to the map.
   kFinalized,
   /// Its bytes cannot become points of the map.
   kFailed,

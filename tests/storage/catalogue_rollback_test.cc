@@ -162,6 +162,8 @@ TEST_P(CatalogueTest, ARollbackEqualsItsTargetAndLeavesEveryRevisionAsItWas) {
         }
       }
       ASSERT_EQ(made.number, newest + 1);
+      EXPECT_EQ(catalogue_->GetRevision(map.uid, made.number)->create_time,
+                made.create_time);
       EXPECT_EQ(made.processed_revision, next.processed_revision);
       EXPECT_EQ(made.totals.stale_tile_count,
                 static_cast<int64_t>(next.stale.size()))
