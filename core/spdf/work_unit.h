@@ -80,9 +80,10 @@ class WorkUnit {
   absl::StatusOr<RoundCounts> RunPaperRound(int round,
                                             const ExecutionContext& context);
 
-  /// Rule kQuota: core points that too many better points surround get death
-  /// 1. The halo is the density radius.
-  absl::Status RunQuota(const ExecutionContext& context);
+  /// Rule kQuota with any radius: core points that too many better points
+  /// within `radius_d2` steps², up to 2^52, surround get death 1. The halo is
+  /// that radius.
+  absl::Status RunQuota(int64_t radius_d2, const ExecutionContext& context);
 
   /// Ball votes of the surviving core points; halo: one reach.
   absl::Status ComputeVoters(const ExecutionContext& context);
@@ -98,7 +99,8 @@ class WorkUnit {
     LabelColumns columns;
   };
   absl::StatusOr<Labeled> CastAwareVotes(const ExecutionContext& context);
-  /// Position of the i-th survivor.
+  /// Position of the i-th of the points that were alive when the last step
+  /// began.
   LatticePoint SurvivorPosition(size_t i) const {
     return index_.Position(static_cast<uint32_t>(i));
   }
@@ -125,11 +127,7 @@ class WorkUnit {
   void CastBallVotes(GatheredBlock& block, int64_t bound, int32_t limit_d2,
                      std::span<const uint32_t> points, const Use& use) const;
 
-  /// Of an index point, by rule kQuota: the smaller, the better.
-  uint64_t Priority(uint32_t i) const;
-
   class RoundVisitor;
-  class QuotaVisitor;
   class VoterVisitor;
   class LabelVisitor;
 
