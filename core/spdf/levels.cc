@@ -12,14 +12,12 @@
 #include "core/base/bulk_vector.h"
 #include "core/base/status.h"
 #include "core/spdf/integer_root.h"
+#include "core/spdf/memory_tiles.h"
 #include "core/spdf/tile_units.h"
 #include "core/spdf/work_unit.h"
 
 namespace mapsieve::core {
 namespace {
-
-/// Eight such cells around the origin are still one unit.
-constexpr int kMaxNodeLevel = 28;
 
 /// The points of one level, given in cells, as the nodes of the next one.
 class LevelNodes final : public PointTiles {
@@ -78,7 +76,7 @@ absl::StatusOr<std::vector<TileInfo>> MakeLevel(
   std::iota(all.begin(), all.end(), size_t{0});
   const int64_t radius_d2 = LevelRadiusD2(options, lattice, level);
   std::vector<TileInfo> cells;
-  std::vector<LatticePoint> points;
+  BulkVector<LatticePoint> points;
   for (const PointUnits::Unit& unit :
        units.Group(all, tiling.max_unit_points)) {
     MAPSIEVE_ASSIGN_OR_RETURN(const LoadedUnit loaded,
@@ -87,12 +85,13 @@ absl::StatusOr<std::vector<TileInfo>> MakeLevel(
     MAPSIEVE_RETURN_IF_ERROR(work.RunQuota(radius_d2, context));
     for (const LoadedTile& tile : loaded.tiles) {
       if (!tile.is_core) continue;
-      points.clear();
+      points.resize(tile.end - tile.begin);
+      size_t size = 0;
       for (size_t i = tile.begin; i < tile.end; ++i) {
-        if (work.deaths()[i] == kAlive) {
-          points.push_back(work.SurvivorPosition(i));
-        }
+        points[size] = work.SurvivorPosition(i);
+        size += work.deaths()[i] == kAlive ? 1 : 0;
       }
+      points.resize(size);
       if (points.empty()) continue;
       const CellKey& cell = units.tiles()[tile.tile].key;
       MAPSIEVE_RETURN_IF_ERROR(store.StorePoints(level, cell, points));
@@ -132,7 +131,7 @@ class LevelStream {
   const int level_;
   const std::vector<TileInfo> cells_;
   size_t next_cell_ = 0;
-  std::vector<LatticePoint> points_;
+  BulkVector<LatticePoint> points_;
   size_t next_ = 0;
 };
 
@@ -174,22 +173,17 @@ absl::StatusOr<DepthCounts> EmitDepths(LevelStore& store,
   return counts;
 }
 
-/// Points in memory as tiles that are, but for huge extents, one unit.
+/// Points in memory as tiles that are one unit.
 class MemoryLevelStore final : public LevelStore {
  public:
-  explicit MemoryLevelStore(std::span<const LatticePoint> points)
-      : points_(points) {
-    for (size_t begin = 0; begin < points.size();) {
-      const CellKey key = CellKey::Of(points[begin], kMaxNodeLevel);
-      const auto rest = points.subspan(begin);
-      const auto end = std::partition_point(
-          rest.begin(), rest.end(), [&](const LatticePoint& q) {
-            return CellKey::Of(q, kMaxNodeLevel) == key;
-          });
-      const auto size = static_cast<size_t>(end - rest.begin());
-      tiles_.push_back({key, static_cast<int64_t>(size)});
-      levels_[0][key] = rest.first(size);
-      begin += size;
+  MemoryLevelStore(std::span<const LatticePoint> points, Executor& executor) {
+    for (const MemoryTile& tile : MakeMemoryTiles(
+             points.size(),
+             [&](size_t i) -> const LatticePoint& { return points[i]; },
+             executor)) {
+      const size_t size = tile.end - tile.begin;
+      tiles_.push_back({tile.key, static_cast<int64_t>(size)});
+      levels_[0][tile.key] = points.subspan(tile.begin, size);
     }
     depths_.reserve(points.size());
   }
@@ -219,9 +213,8 @@ class MemoryLevelStore final : public LevelStore {
   std::vector<uint8_t> TakeDepths() { return std::move(depths_); }
 
  private:
-  const std::span<const LatticePoint> points_;
   std::vector<TileInfo> tiles_;
-  std::vector<std::vector<LatticePoint>> stored_;
+  std::vector<BulkVector<LatticePoint>> stored_;
   std::array<std::map<CellKey, std::span<const LatticePoint>, CellKeyLess>,
              kMaxDepth + 1>
       levels_;
@@ -263,7 +256,8 @@ absl::StatusOr<DepthCounts> ComputeDepths(LevelStore& store,
     MAPSIEVE_ASSIGN_OR_RETURN(cells, MakeLevel(level, nodes, store, lattice,
                                                options, tiling, context));
     streams.emplace_back(store, level, cells);
-    node_level = std::max(node_level, std::min(node_level + 1, kMaxNodeLevel));
+    node_level =
+        std::max(node_level, std::min(node_level + 1, kMaxMemoryTileLevel));
     context.ReportProgress(level, kMaxDepth);
   }
   return EmitDepths(store, streams, context);
@@ -272,7 +266,7 @@ absl::StatusOr<DepthCounts> ComputeDepths(LevelStore& store,
 absl::StatusOr<std::vector<uint8_t>> ComputeDepths(
     std::span<const LatticePoint> points, const Lattice& lattice,
     const SpdfOptions& options, const ExecutionContext& context) {
-  MemoryLevelStore store(points);
+  MemoryLevelStore store(points, *context.executor);
   const TilingOptions tiling = {.max_unit_points =
                                     static_cast<int64_t>(points.size())};
   MAPSIEVE_RETURN_IF_ERROR(

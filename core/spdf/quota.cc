@@ -11,6 +11,12 @@
 namespace mapsieve::core {
 namespace {
 
+/// One more still fits int32.
+constexpr int kUpperBits = 30;
+
+/// So few are counted for every point of a group, however wide it is.
+constexpr size_t kFewCandidates = 512;
+
 int64_t SquaredDistance(const PointIndex& index, uint32_t a, uint32_t b) {
   const std::array<int32_t, 3> p = index.Coordinates(a);
   const std::array<int32_t, 3> q = index.Coordinates(b);
@@ -37,13 +43,13 @@ int64_t SquaredDistance(const IndexBox& box, const std::array<int32_t, 3>& q) {
 QuotaPriorities::QuotaPriorities(const PointIndex& index, int64_t seed,
                                  Executor& executor)
     : index_(index), seed_(seed), upper_(index.size()) {
-  ForEachPart(executor, upper_.size(), 8192,
-              [&](size_t, size_t begin, size_t end) {
-                for (size_t i = begin; i < end; ++i) {
-                  upper_[i] = static_cast<int32_t>(
-                      Hash(static_cast<uint32_t>(i)) >> 32 ^ 0x80000000u);
-                }
-              });
+  ForEachPart(
+      executor, upper_.size(), 8192, [&](size_t, size_t begin, size_t end) {
+        for (size_t i = begin; i < end; ++i) {
+          upper_[i] = static_cast<int32_t>(Hash(static_cast<uint32_t>(i)) >>
+                                           (64 - kUpperBits));
+        }
+      });
 }
 
 uint64_t QuotaPriorities::Hash(uint32_t i) const {
@@ -76,38 +82,53 @@ std::span<const uint32_t> QuotaCounter::FindCrowded(
     }
     return crowded_;
   }
-  SplitWide(index_, points, GroupExtent(radius_),
+  SplitWide(index_, points, kMaxRadiusSteps,
             [&](const IndexBox& box, std::span<const uint32_t> part) {
-              block_.Gather(box, radius_);
-              // Fewer than k others, and all may stay.
-              const auto k = static_cast<size_t>(rule_.neighbor_count);
-              if (block_.ids().size() > k) CountInBlock(part);
+              FindCrowdedIn(box, part);
             });
   return crowded_;
 }
 
+/// Of points whose box is at most kMaxRadiusSteps wide.
+void QuotaCounter::FindCrowdedIn(const IndexBox& box,
+                                 std::span<const uint32_t> points) {
+  block_.Gather(box, radius_);
+  const size_t candidates = block_.ids().size();
+  // Fewer than k others, and all may stay.
+  if (candidates <= static_cast<size_t>(rule_.neighbor_count)) return;
+  if (candidates <= kFewCandidates || points.size() == 1 ||
+      box.Extent() <= GroupExtent(radius_)) {
+    CountInBlock(points);
+    return;
+  }
+  const size_t half = points.size() / 2;
+  for (const auto part : {points.first(half), points.subspan(half)}) {
+    FindCrowdedIn(index_.BoxOf(part), part);
+  }
+}
+
 void QuotaCounter::CountInBlock(std::span<const uint32_t> points) {
   const int k = rule_.neighbor_count;
+  const auto bound_d2 = static_cast<int32_t>(rule_.radius_d2);
+  const auto count = ActiveKernels().count_better;
   const std::span<const int32_t> ids = block_.ids();
-  near_.assign(ids.size() + kKernelPadding, 0);
+  near_.resize(ids.size() + kKernelPadding);
   for (size_t c = 0; c < ids.size(); ++c) {
     near_[c] = priorities_.upper(static_cast<uint32_t>(ids[c]));
   }
   for (const uint32_t i : points) {
     const auto [x, y, z] = block_.Relative(i);
-    const int better = ActiveKernels().count_better(
-        block_.block(), near_.data(), x, y, z,
-        static_cast<int32_t>(rule_.radius_d2), priorities_.upper(i), k);
-    if (better >= k || (HasTwin(i) && CountBetter(i) >= k)) {
+    const int32_t own = priorities_.upper(i);
+    // Those not worse by the upper bits, the point itself among them.
+    if (count(block_.block(), near_.data(), x, y, z, bound_d2, own + 1,
+              k + 1) <= k) {
+      continue;
+    }
+    if (count(block_.block(), near_.data(), x, y, z, bound_d2, own, k) >= k ||
+        CountBetter(i) >= k) {
       crowded_.push_back(i);
     }
   }
-}
-
-/// Whether another point of the block has the same upper half.
-bool QuotaCounter::HasTwin(uint32_t i) const {
-  return std::count(near_.begin(), near_.end() - kKernelPadding,
-                    priorities_.upper(i)) > 1;
 }
 
 /// Better points within the radius of index point `i`, by whole priorities; at

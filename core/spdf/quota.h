@@ -30,8 +30,7 @@ class QuotaPriorities {
   QuotaPriorities(const PointIndex& index, int64_t seed, Executor& executor);
 
   const PointIndex& index() const { return index_; }
-  /// The upper half of an index point's priority, in the order of signed
-  /// integers.
+  /// The upper bits of an index point's priority, less than INT32_MAX.
   int32_t upper(uint32_t i) const { return upper_[i]; }
   bool IsBetter(uint32_t a, uint32_t b) const;
 
@@ -55,8 +54,8 @@ class QuotaCounter {
   std::span<const uint32_t> FindCrowded(std::span<const uint32_t> points);
 
  private:
+  void FindCrowdedIn(const IndexBox& box, std::span<const uint32_t> points);
   void CountInBlock(std::span<const uint32_t> points);
-  bool HasTwin(uint32_t i) const;
   int CountBetter(uint32_t i) const;
 
   const QuotaPriorities& priorities_;

@@ -24,6 +24,8 @@ constexpr uint32_t kTaskPoints = 2048;
 /// Nearby points that are evaluated together. They share one gathered block:
 /// many make it cheap, few keep it small.
 constexpr uint32_t kGroupPoints = 32;
+/// The same where they are only counted, so that a larger block costs little.
+constexpr uint32_t kQuotaGroupPoints = 64;
 /// Wanted points that lie among so many others are still nearby.
 constexpr uint32_t kGroupSpread = 128;
 
@@ -114,6 +116,7 @@ void WorkUnit::RemoveDead(int round) {
 
 template <typename IsWanted, typename MakeVisitor>
 absl::Status WorkUnit::ForEachGroup(const ExecutionContext& context,
+                                    uint32_t group_points,
                                     const IsWanted& is_wanted,
                                     const MakeVisitor& make_visitor) const {
   using Node = PointIndex::Node;
@@ -158,7 +161,7 @@ absl::Status WorkUnit::ForEachGroup(const ExecutionContext& context,
               }
             }
             if (wanted.empty()) return;
-            if (node.is_leaf() || wanted.size() <= kGroupPoints) {
+            if (node.is_leaf() || wanted.size() <= group_points) {
               visitor(bound, std::span<const uint32_t>(wanted));
               return;
             }
@@ -352,7 +355,7 @@ absl::StatusOr<WorkUnit::RoundCounts> WorkUnit::RunPaperRound(
   std::atomic<int64_t> died = 0;
   std::atomic<int64_t> flagged = 0;
   MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
-      context,
+      context, kGroupPoints,
       [&](uint32_t number) {
         return round == 1 || round_states_[number].radius_d2 > 0;
       },
@@ -368,7 +371,7 @@ absl::Status WorkUnit::RunQuota(int64_t radius_d2,
                           .seed = options_.seed};
   const QuotaPriorities priorities(index_, rule.seed, *context.executor);
   return ForEachGroup(
-      context, [](uint32_t) { return true; },
+      context, kQuotaGroupPoints, [](uint32_t) { return true; },
       [&] {
         return [this, counter = QuotaCounter(priorities, rule)](
                    int64_t, std::span<const uint32_t> points) mutable {
@@ -435,7 +438,7 @@ absl::Status WorkUnit::ComputeVoters(const ExecutionContext& context) {
   IndexSurvivors(kAlive - 1, context);
   voters_.resize(size());
   return ForEachGroup(
-      context, [](uint32_t) { return true; },
+      context, kGroupPoints, [](uint32_t) { return true; },
       [&] { return VoterVisitor(*this); });
 }
 
@@ -565,7 +568,7 @@ absl::StatusOr<WorkUnit::Labeled> WorkUnit::CastAwareVotes(
   Labeled result{.points = index_.numbers()};
   result.columns.Resize(index_.size());
   MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
-      context, [](uint32_t) { return true; },
+      context, kGroupPoints, [](uint32_t) { return true; },
       [&] { return LabelVisitor(*this, result.columns); }));
   voters_ = BulkVector<VoterState>();
   return result;

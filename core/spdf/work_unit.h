@@ -113,12 +113,12 @@ class WorkUnit {
   void RemoveDead(int round);
 
   /// Calls make_visitor() in each of many tasks, and what it returns for
-  /// groups of nearby wanted core points: visitor(bound, index points). Each
-  /// point of a group has the wanted number of neighbours within `bound` steps,
-  /// if that is not kUnbounded. `is_wanted(number)`.
+  /// groups of up to `group_points` nearby wanted core points: visitor(bound,
+  /// index points). Each point of a group has the wanted number of neighbours
+  /// within `bound` steps, if that is not kUnbounded. `is_wanted(number)`.
   template <typename IsWanted, typename MakeVisitor>
   absl::Status ForEachGroup(const ExecutionContext& context,
-                            const IsWanted& is_wanted,
+                            uint32_t group_points, const IsWanted& is_wanted,
                             const MakeVisitor& make_visitor) const;
 
   /// Calls use(index point, sums) with the ball votes of some points from

@@ -179,11 +179,11 @@ TEST(Levels, DoNotDependOnTilesUnitsOrWorkers) {
   const auto pool = MakeWorkerPool(3);
   // The last one has levels beyond kMaxRadiusSteps.
   for (const auto& [cloud, radius_m] :
-       {std::pair(clouds::SceneCloud(6000, 1.2, 30), 0.02),
-        std::pair(clouds::Shifted(clouds::SceneCloud(6000, 1.2, 31),
+       {std::pair(clouds::SceneCloud(2500, 1.2, 30), 0.02),
+        std::pair(clouds::Shifted(clouds::SceneCloud(2500, 1.2, 31),
                                   {5100, 7200, -4100}),
                   0.02),
-        std::pair(Scaled(clouds::SceneCloud(3000, 1.2, 32), 500), 4.0)}) {
+        std::pair(Scaled(clouds::SceneCloud(1500, 1.2, 32), 500), 4.0)}) {
     const SpdfOptions options = {.neighbor_count = 10,
                                  .density_radius_m = radius_m};
     const std::vector<LatticePoint> points = Distinct(cloud);
@@ -197,17 +197,16 @@ TEST(Levels, DoNotDependOnTilesUnitsOrWorkers) {
          {std::pair(fine, int64_t{1}), std::pair(fine + 1, int64_t{300}),
           std::pair(fine + 2, int64_t{1}), std::pair(21, int64_t{1}),
           std::pair(fine + 3, int64_t{100000})}) {
-      for (Executor* executor : {&InlineExecutor(), pool.get()}) {
-        SCOPED_TRACE(absl::StrCat("level ", level, " of ", radius_m));
-        SmallLevelStore store(points, level);
-        MAPSIEVE_ASSERT_OK_AND_ASSIGN(
-            const DepthCounts counts,
-            ComputeDepths(store, cloud.lattice, options,
-                          {.max_unit_points = max_unit_points},
-                          {.executor = executor}));
-        EXPECT_EQ(store.emitted, expected);
-        EXPECT_EQ(counts, expected_counts);
-      }
+      SCOPED_TRACE(absl::StrCat("level ", level, " of ", radius_m));
+      SmallLevelStore store(points, level);
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+          const DepthCounts counts,
+          ComputeDepths(store, cloud.lattice, options,
+                        {.max_unit_points = max_unit_points},
+                        {.executor = max_unit_points > 1 ? pool.get()
+                                                         : &InlineExecutor()}));
+      EXPECT_EQ(store.emitted, expected);
+      EXPECT_EQ(counts, expected_counts);
     }
   }
 }
