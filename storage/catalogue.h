@@ -21,8 +21,8 @@ struct RevisionChange {
   std::vector<ChunkRef> added;
   /// Numbers of references of the parent revision that the new one lacks.
   std::vector<int64_t> removed;
-  /// The new revision has no product chunk of its parent, as if `removed`
-  /// listed them all.
+  /// The new revision has no product and no history chunk of its parent, as if
+  /// `removed` listed them all.
   bool removes_product = false;
   /// Uid of an upload of the map in state kFinalizing: it becomes kFinalized
   /// in the same transaction, with `upload_report`.

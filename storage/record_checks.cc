@@ -106,10 +106,10 @@ absl::Status CheckOperation(const OperationRecord& operation) {
 }
 
 absl::Status CheckChunk(const ChunkRef& chunk, int tile_level) {
-  if (chunk.kind != ChunkKind::kRaw && chunk.kind != ChunkKind::kProduct) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("unknown kind ", static_cast<int>(chunk.kind)));
-  }
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckRange("kind", static_cast<int64_t>(chunk.kind),
+                 static_cast<int64_t>(ChunkKind::kRaw),
+                 static_cast<int64_t>(ChunkKind::kHistory)));
   if (chunk.tile.level != tile_level || !IsValidCell(chunk.tile)) {
     return absl::InvalidArgumentError(
         absl::StrCat("no tile of level ", tile_level, " inside the lattice"));
@@ -128,10 +128,10 @@ absl::Status CheckChunk(const ChunkRef& chunk, int tile_level) {
   }
   const int64_t labeled = std::accumulate(chunk.label_counts.begin(),
                                           chunk.label_counts.end(), int64_t{0});
+  const int64_t expected =
+      chunk.kind == ChunkKind::kProduct ? chunk.point_count : 0;
   MAPSIEVE_RETURN_IF_ERROR(
-      CheckRange("sum of label_counts", labeled,
-                 chunk.kind == ChunkKind::kRaw ? 0 : chunk.point_count,
-                 chunk.kind == ChunkKind::kRaw ? 0 : chunk.point_count));
+      CheckRange("sum of label_counts", labeled, expected, expected));
   if (!Holds(chunk.tile.box(), chunk.bounds)) {
     return absl::InvalidArgumentError(
         "bounds are empty or not inside the tile");

@@ -131,10 +131,13 @@ enum class ChunkKind : uint8_t {
   kRaw = 1,
   /// What the filter made of a tile.
   kProduct = 2,
+  /// What the filter remembers of a tile, to update the product when points
+  /// change; goes with the product.
+  kHistory = 3,
 };
 
 /// A reference to a blob that holds points of one tile (a block of
-/// core/codec).
+/// core/codec), or what the filter remembers of them.
 struct ChunkRef {
   /// Assigned at commit, grows, never used again in this store; 0 before.
   int64_t number = 0;
@@ -145,7 +148,7 @@ struct ChunkRef {
   int64_t point_count = 0;
   /// Bytes of the blob.
   int64_t stored_bytes = 0;
-  /// Points of each label; zero in raw chunks.
+  /// Points of each label; zero in chunks that are no product.
   core::LabelCounts label_counts{};
   /// Tight half-open box of the points, inside the tile.
   core::LatticeBox bounds;

@@ -70,8 +70,8 @@ void AddChunk(const ChunkRef& chunk, int sign, RevisionTotals& totals) {
   if (chunk.kind == ChunkKind::kRaw) {
     totals.raw_chunk_count += sign;
     totals.raw_point_count += sign * chunk.point_count;
-    return;
   }
+  if (chunk.kind != ChunkKind::kProduct) return;
   totals.product_chunk_count += sign;
   totals.product_point_count += sign * chunk.point_count;
   for (size_t label = 0; label < core::kLabelCount; ++label) {
@@ -142,10 +142,10 @@ class Change {
           SqliteStatement query,
           database_.Prepare(
               "SELECT ifnull(sum(stored_bytes), 0) FROM chunks WHERE "
-              "map_key = ? AND kind = ? AND removed_revision = ?"));
+              "map_key = ? AND kind <> ? AND removed_revision = ?"));
       MAPSIEVE_ASSIGN_OR_RETURN(
           const bool row,
-          query.Bind(map_.key).Bind(ChunkKind::kProduct).Bind(kNever).Step());
+          query.Bind(map_.key).Bind(ChunkKind::kRaw).Bind(kNever).Step());
       int64_t bytes = 0;
       if (row) query.Take(bytes);
       MAPSIEVE_RETURN_IF_ERROR(query.status());
@@ -157,10 +157,11 @@ class Change {
     MAPSIEVE_ASSIGN_OR_RETURN(
         SqliteStatement update,
         database_.Prepare("UPDATE chunks SET removed_revision = ? WHERE "
-                          "map_key = ? AND kind = ? AND removed_revision = ?"));
+                          "map_key = ? AND kind <> ? AND "
+                          "removed_revision = ?"));
     return update.Bind(revision_)
         .Bind(map_.key)
-        .Bind(ChunkKind::kProduct)
+        .Bind(ChunkKind::kRaw)
         .Bind(kNever)
         .Run();
   }

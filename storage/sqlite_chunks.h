@@ -19,7 +19,7 @@ namespace mapsieve::storage {
 
 template <>
 inline constexpr int64_t kLargestEnumerator<ChunkKind> =
-    static_cast<int64_t>(ChunkKind::kProduct);
+    static_cast<int64_t>(ChunkKind::kHistory);
 
 /// Changes the references of `map` from those of its newest revision to those
 /// of the next one, and returns the totals of that one. kInvalidArgument: a

@@ -111,7 +111,8 @@ ProcessReport FromProto(const v1::ProcessMapResponse& response) {
           .point_count = response.point_count(),
           .label_counts = FromProto(response.label_counts()),
           .outlier_count = response.outlier_count(),
-          .round_count = response.round_count()};
+          .round_count = response.round_count(),
+          .updated_tile_count = response.updated_tile_count()};
 }
 
 OperationInfo FromProto(const v1::Operation& operation) {

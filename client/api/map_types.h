@@ -104,6 +104,8 @@ struct ProcessReport {
   core::LabelCounts label_counts{};
   int64_t outlier_count = 0;
   int round_count = 0;
+  /// Tiles that the run filtered anew.
+  int64_t updated_tile_count = 0;
 };
 
 /// Axis-aligned box, min <= p < max.

@@ -37,6 +37,7 @@ Json ProcessJson(const std::string& map, const ProcessReport& report,
           {"label_counts", LabelCountsJson(report.label_counts)},
           {"outlier_count", report.outlier_count},
           {"round_count", report.round_count},
+          {"updated_tile_count", report.updated_tile_count},
           {"process_s", seconds}};
 }
 

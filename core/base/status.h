@@ -39,21 +39,23 @@ inline absl::Status Annotate(const absl::Status& status,
 }  // namespace mapsieve
 
 /// Returns from the enclosing function if `expression` is not OK.
-#define MAPSIEVE_RETURN_IF_ERROR(expression)                                  \
-  do {                                                                        \
-    if (absl::Status mapsieve_status = (expression); !mapsieve_status.ok()) { \
-      return mapsieve_status;                                                 \
-    }                                                                         \
-  } while (false)
+#define MAPSIEVE_RETURN_IF_ERROR(expression) \
+  MAPSIEVE_RETURN_IF_ERROR_IMPL_(            \
+      MAPSIEVE_CONCAT_(mapsieve_status_, __COUNTER__), expression)
 
 /// Declares or assigns `target` from a StatusOr expression, or returns its
 /// error from the enclosing function.
 #define MAPSIEVE_ASSIGN_OR_RETURN(target, expression) \
   MAPSIEVE_ASSIGN_OR_RETURN_IMPL_(                    \
-      MAPSIEVE_CONCAT_(mapsieve_status_or_, __LINE__), target, expression)
+      MAPSIEVE_CONCAT_(mapsieve_status_or_, __COUNTER__), target, expression)
 
 #define MAPSIEVE_CONCAT_INNER_(a, b) a##b
 #define MAPSIEVE_CONCAT_(a, b) MAPSIEVE_CONCAT_INNER_(a, b)
+// The names differ, since an expression may hold a lambda that uses the macros.
+#define MAPSIEVE_RETURN_IF_ERROR_IMPL_(status, expression)               \
+  do {                                                                   \
+    if (absl::Status status = (expression); !status.ok()) return status; \
+  } while (false)
 #define MAPSIEVE_ASSIGN_OR_RETURN_IMPL_(result, target, expression) \
   auto result = (expression);                                       \
   if (!result.ok()) return std::move(result).status();              \

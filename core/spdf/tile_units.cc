@@ -127,6 +127,16 @@ absl::StatusOr<LoadedUnit> PointUnits::Load(const Unit& unit, int64_t margin) {
   return loaded;
 }
 
+absl::StatusOr<std::span<const LatticePoint>> PointUnits::LoadPoints(
+    size_t tile) {
+  const auto room = static_cast<size_t>(tiles_[tile].point_count);
+  batch_points_.resize(std::max(batch_points_.size(), room));
+  const std::span<LatticePoint> points = std::span(batch_points_).first(room);
+  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
+                            source_.LoadPoints(tiles_[tile].key, points));
+  return points.first(static_cast<size_t>(size));
+}
+
 /// Appends the points of `batch` to `work`; of a halo tile, those within
 /// `margin` steps of the core tiles that `halo` names.
 absl::Status PointUnits::LoadBatch(const HaloOf& halo, int64_t margin,

@@ -69,6 +69,9 @@ class PointUnits {
   /// The points of the unit's tiles, and others within `margin` steps of them.
   absl::StatusOr<LoadedUnit> Load(const Unit& unit, int64_t margin);
 
+  /// The points of a tile; valid until the next call.
+  absl::StatusOr<std::span<const LatticePoint>> LoadPoints(size_t tile);
+
  protected:
   /// Calls use(batch) for adjacent `tiles`: enough to keep every worker busy,
   /// few enough for copies of their points to be small beside a unit.

@@ -63,6 +63,11 @@ class WorkUnit {
   /// only, 0; as Grow set it.
   BulkVector<uint8_t>& core() { return is_core_; }
 
+  /// Position of a point; before the first step.
+  LatticePoint Position(size_t i) const {
+    return index_.Position(static_cast<uint32_t>(i));
+  }
+
   /// One entry a point, written by the steps for core points; of halo points
   /// they are to be set before a step.
   BulkVector<DeathRound>& deaths() { return deaths_; }

@@ -1,9 +1,11 @@
 #include "server/engine/chunk_reader.h"
 
 #include <cstddef>
+#include <string>
 #include <vector>
 
 #include "core/base/status.h"
+#include "core/cloud/merge_duplicates.h"
 
 namespace mapsieve::engine {
 
@@ -24,6 +26,22 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
                                          chunk.tile.ToString()));
   }
   return points;
+}
+
+absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
+    const storage::ReadSnapshot& snapshot, const core::CellKey& tile) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::vector<storage::ChunkRef> chunks,
+      snapshot.ListTileChunks(storage::ChunkKind::kRaw, tile));
+  std::vector<core::LatticePoint> points;
+  for (const storage::ChunkRef& chunk : chunks) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const core::LatticeCloud cloud,
+        ReadPoints(snapshot, chunk,
+                   {.attributes = std::vector<std::string>()}));
+    points.insert(points.end(), cloud.positions.begin(), cloud.positions.end());
+  }
+  return core::DistinctPoints(points);
 }
 
 }  // namespace mapsieve::engine

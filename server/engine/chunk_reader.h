@@ -1,6 +1,8 @@
 #ifndef MAPSIEVE_SERVER_ENGINE_CHUNK_READER_H_
 #define MAPSIEVE_SERVER_ENGINE_CHUNK_READER_H_
 
+#include <vector>
+
 #include "absl/status/statusor.h"
 #include "core/cloud/point_cloud.h"
 #include "core/codec/points_codec.h"
@@ -13,6 +15,10 @@ namespace mapsieve::engine {
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options = {});
+
+/// The distinct raw points of a tile in Morton order. Errors of ReadPoints.
+absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
+    const storage::ReadSnapshot& snapshot, const core::CellKey& tile);
 
 }  // namespace mapsieve::engine
 

@@ -136,6 +136,7 @@ void VisitProcessReport(V& v, T& report) {
   VisitCounts(v, "label_counts", report.label_counts);
   v.Field("outlier_count", report.outlier_count);
   v.Field("round_count", report.round_count);
+  v.Field("updated_tile_count", report.updated_tile_count);
 }
 
 template <typename V, typename T>

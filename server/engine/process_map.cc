@@ -1,14 +1,22 @@
 #include "server/engine/process_map.h"
 
 #include <algorithm>
+#include <functional>
 #include <memory>
 #include <numeric>
+#include <optional>
+#include <span>
+#include <unordered_set>
+#include <utility>
 #include <vector>
 
 #include "core/base/status.h"
 #include "core/spdf/tile_filter.h"
-#include "server/engine/chunk_writer.h"
+#include "core/spdf/tile_update.h"
+#include "server/engine/chunk_reader.h"
+#include "server/engine/map_changes.h"
 #include "server/engine/opaque_records.h"
+#include "server/engine/product_chunk.h"
 #include "server/engine/stored_tiles.h"
 
 namespace mapsieve::engine {
@@ -17,16 +25,272 @@ namespace {
 /// Measured: the filter's memory for a point of a unit with its halo.
 constexpr int64_t kFilterBytesPerPoint = 150;
 
-ProcessReport MakeReport(int64_t revision, const core::SpdfSummary& summary,
-                         const core::LabelCounts& kept) {
-  ProcessReport report = {.revision = revision,
-                          .distinct_point_count = summary.point_count,
-                          .label_counts = kept,
-                          .round_count = summary.round_count};
-  report.point_count = std::accumulate(kept.begin(), kept.end(), int64_t{0});
-  report.outlier_count = summary.survivor_count - report.point_count;
-  return report;
+using storage::ChunkKind;
+using storage::ChunkRef;
+using storage::ReadSnapshot;
+
+/// Sums over a whole product.
+struct ProductTotals {
+  int64_t distinct_point_count = 0;
+  /// Outliers included.
+  int64_t survivor_count = 0;
+  int round_count = 0;
+  core::MaxConfidence max_confidence{};
+  core::LabelCounts kept{};
+};
+
+/// The previous product, if what changed since can be filtered by itself.
+struct Previous {
+  std::shared_ptr<const ReadSnapshot> snapshot;
+  ProcessReport report;
+  std::vector<core::TileChange> changes;
+};
+
+/// Calls use(chunk) for all chunks of a kind.
+absl::Status ForEachChunk(
+    const ReadSnapshot& snapshot, ChunkKind kind,
+    const std::function<absl::Status(const ChunkRef&)>& use) {
+  constexpr int64_t kPageSize = 1000;
+  std::optional<storage::ChunkPosition> after;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const std::vector<ChunkRef> page,
+        snapshot.ListChunks(kind, std::nullopt, after, kPageSize));
+    if (page.empty()) return absl::OkStatus();
+    for (const ChunkRef& chunk : page) MAPSIEVE_RETURN_IF_ERROR(use(chunk));
+    after = {page.back().tile, page.back().number};
+  }
 }
+
+/// Adds the points of a product chunk to `histogram`.
+absl::Status CountConfidences(const ReadSnapshot& snapshot,
+                              const ChunkRef& chunk,
+                              ConfidenceHistogram& histogram) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud points,
+                            ReadPoints(snapshot, chunk,
+                                       {.attributes = std::vector<std::string>{
+                                            std::string(kLabelColumn),
+                                            std::string(kConfidenceColumn)}}));
+  MAPSIEVE_RETURN_IF_ERROR(CountLabels(points).status());
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const core::Column* const labels,
+      FindProductColumn(points, kLabelColumn, core::ScalarType::kUint8));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const core::Column* const confidences,
+      FindProductColumn(points, kConfidenceColumn, core::ScalarType::kUint16));
+  for (size_t i = 0; i < points.size(); ++i) {
+    histogram.Add(static_cast<core::Label>(labels->Get<uint8_t>(i)),
+                  confidences->Get<uint16_t>(i));
+  }
+  return absl::OkStatus();
+}
+
+class MapRun {
+ public:
+  MapRun(storage::Store& store, const ReadSnapshot& snapshot,
+         const core::SpdfOptions& options, const ProcessLimits& limits,
+         Executor& io, const ExecutionContext& context)
+      : store_(store),
+        snapshot_(snapshot),
+        options_(options),
+        limits_(limits),
+        io_(io),
+        context_(context),
+        lattice_(snapshot.map().spec.step_nm),
+        tiling_{.max_unit_points = limits.unit_points} {}
+
+  /// The revision's product was made with these options and has a history, and
+  /// less than half of the map changed since.
+  absl::StatusOr<std::optional<Previous>> FindPrevious() {
+    const storage::RevisionRecord& base = snapshot_.revision();
+    if (base.processed_revision == 0 ||
+        snapshot_.map().process_options != FormatSpdfOptions(options_)) {
+      return std::nullopt;
+    }
+    Previous previous;
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        previous.snapshot,
+        store_.OpenSnapshot(snapshot_.map().spec.id, base.processed_revision));
+    const storage::RevisionRecord& then = previous.snapshot->revision();
+    MAPSIEVE_ASSIGN_OR_RETURN(previous.report,
+                              ParseProcessReport(then.spec.description));
+    int64_t remembered = 0;
+    MAPSIEVE_RETURN_IF_ERROR(ForEachChunk(
+        *previous.snapshot, ChunkKind::kHistory, [&](const ChunkRef& chunk) {
+          remembered += chunk.point_count;
+          return absl::OkStatus();
+        }));
+    if (remembered != then.spec.product->distinct_point_count) {
+      return std::nullopt;
+    }
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        previous.changes, FindChanges(*previous.snapshot, snapshot_, context_));
+    if (2 * static_cast<int64_t>(previous.changes.size()) >
+        then.totals.tile_count) {
+      return std::nullopt;
+    }
+    return previous;
+  }
+
+  /// Filters all tiles.
+  absl::StatusOr<ProcessReport> FilterAll() {
+    MAPSIEVE_RETURN_IF_ERROR(OpenTiles(nullptr));
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const core::SpdfSummary summary,
+        core::FilterTiles(*tiles_, lattice_, options_, tiling_, context_));
+    MAPSIEVE_RETURN_IF_ERROR(tiles_->Flush());
+    const ProductTotals totals = {
+        .distinct_point_count = summary.point_count,
+        .survivor_count = summary.survivor_count,
+        .round_count = summary.round_count,
+        .max_confidence = summary.max_confidence,
+        .kept = tiles_->histogram().CountKept(
+            core::OutlierTest(summary.max_confidence, options_.outlier_share))};
+    return Commit(totals, {.removes_product = true});
+  }
+
+  /// Filters what has changed.
+  absl::StatusOr<ProcessReport> Update(const Previous& previous) {
+    MAPSIEVE_RETURN_IF_ERROR(OpenTiles(&previous));
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const core::UpdateSummary update,
+        core::UpdateTiles(*tiles_, previous.changes, lattice_, options_,
+                          tiling_, context_));
+    MAPSIEVE_RETURN_IF_ERROR(tiles_->Flush());
+    std::unordered_set<core::CellKey, core::CellKeyHash> replaced =
+        tiles_->emitted();
+    for (const core::TileChange& change : previous.changes) {
+      replaced.insert(change.tile);
+    }
+
+    const storage::ProductSummary& before =
+        *previous.snapshot->revision().spec.product;
+    ProductTotals totals = {
+        .distinct_point_count =
+            before.distinct_point_count + update.emitted.point_count,
+        .survivor_count =
+            previous.snapshot->revision().totals.product_point_count +
+            update.emitted.survivor_count,
+        .round_count =
+            std::max(previous.report.round_count, update.emitted.round_count)};
+    storage::RevisionChange change;
+    ConfidenceHistogram gone;
+    MAPSIEVE_RETURN_IF_ERROR(ForEachChunk(
+        snapshot_, ChunkKind::kHistory, [&](const ChunkRef& chunk) {
+          if (replaced.contains(chunk.tile)) {
+            change.removed.push_back(chunk.number);
+            totals.distinct_point_count -= chunk.point_count;
+          }
+          return absl::OkStatus();
+        }));
+    MAPSIEVE_RETURN_IF_ERROR(ForEachChunk(
+        snapshot_, ChunkKind::kProduct, [&](const ChunkRef& chunk) {
+          if (!replaced.contains(chunk.tile)) return absl::OkStatus();
+          change.removed.push_back(chunk.number);
+          totals.survivor_count -= chunk.point_count;
+          return CountConfidences(snapshot_, chunk, gone);
+        }));
+    MAPSIEVE_RETURN_IF_ERROR(CountOutliers(before, gone, replaced, totals));
+    return Commit(totals, std::move(change));
+  }
+
+ private:
+  absl::Status OpenTiles(const Previous* previous) {
+    MAPSIEVE_ASSIGN_OR_RETURN(scratch_, store_.NewScratch());
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        tiles_, StoredTiles::Open(
+                    store_, snapshot_,
+                    previous == nullptr ? nullptr : previous->snapshot.get(),
+                    previous == nullptr ? std::span<const core::TileChange>()
+                                        : std::span(previous->changes),
+                    *scratch_,
+                    {.max_pending_bytes = limits_.pending_bytes,
+                     .max_chunk_bytes = limits_.chunk_bytes,
+                     .io = &io_,
+                     .stop = context_.stop}));
+    return absl::OkStatus();
+  }
+
+  /// Sets the largest confidences and the counts of kept points: from those of
+  /// before and the difference if no largest confidence changed, else from all
+  /// confidences. `gone`: the product of before of the `replaced` tiles.
+  absl::Status CountOutliers(
+      const storage::ProductSummary& before, const ConfidenceHistogram& gone,
+      const std::unordered_set<core::CellKey, core::CellKeyHash>& replaced,
+      ProductTotals& totals) {
+    const ConfidenceHistogram& added = tiles_->histogram();
+    const core::MaxConfidence max_gone = gone.MaxConfidences();
+    const core::MaxConfidence max_added = added.MaxConfidences();
+    bool is_same = true;
+    for (size_t l = 0; l < core::kLabelCount; ++l) {
+      const uint16_t max = before.max_confidence[l];
+      is_same &=
+          max_added[l] <= max && (max_gone[l] < max || max_added[l] == max);
+    }
+    const auto test_with = [&](const core::MaxConfidence& max_confidence) {
+      return core::OutlierTest(max_confidence, options_.outlier_share);
+    };
+    if (is_same) {
+      totals.max_confidence = before.max_confidence;
+      const core::OutlierTest test = test_with(before.max_confidence);
+      const core::LabelCounts kept_gone = gone.CountKept(test);
+      const core::LabelCounts kept_added = added.CountKept(test);
+      for (size_t l = 0; l < core::kLabelCount; ++l) {
+        totals.kept[l] = before.kept_counts[l] - kept_gone[l] + kept_added[l];
+      }
+      return absl::OkStatus();
+    }
+    ConfidenceHistogram all = added;
+    MAPSIEVE_RETURN_IF_ERROR(ForEachChunk(
+        snapshot_, ChunkKind::kProduct, [&](const ChunkRef& chunk) {
+          if (replaced.contains(chunk.tile)) return absl::OkStatus();
+          return CountConfidences(snapshot_, chunk, all);
+        }));
+    totals.max_confidence = all.MaxConfidences();
+    totals.kept = all.CountKept(test_with(totals.max_confidence));
+    return absl::OkStatus();
+  }
+
+  absl::StatusOr<ProcessReport> Commit(const ProductTotals& totals,
+                                       storage::RevisionChange change) {
+    MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+    const storage::RevisionRecord& base = snapshot_.revision();
+    ProcessReport report = {
+        .revision = base.number + 1,
+        .distinct_point_count = totals.distinct_point_count,
+        .label_counts = totals.kept,
+        .round_count = totals.round_count,
+        .updated_tile_count = static_cast<int64_t>(tiles_->emitted().size())};
+    report.point_count =
+        std::accumulate(totals.kept.begin(), totals.kept.end(), int64_t{0});
+    report.outlier_count = totals.survivor_count - report.point_count;
+    change.spec = {.kind = storage::RevisionKind::kProcess,
+                   .description = FormatProcessReport(report),
+                   .attributes = base.spec.attributes,
+                   .product = storage::ProductSummary{
+                       .options = FormatSpdfOptions(options_),
+                       .distinct_point_count = totals.distinct_point_count,
+                       .kept_counts = totals.kept,
+                       .max_confidence = totals.max_confidence}};
+    change.added = tiles_->chunks();
+    MAPSIEVE_RETURN_IF_ERROR(
+        store_.catalogue()
+            .CommitRevision(snapshot_.map().uid, base.number, change)
+            .status());
+    return report;
+  }
+
+  storage::Store& store_;
+  const ReadSnapshot& snapshot_;
+  const core::SpdfOptions& options_;
+  const ProcessLimits& limits_;
+  Executor& io_;
+  const ExecutionContext& context_;
+  const core::Lattice lattice_;
+  const core::TilingOptions tiling_;
+  std::unique_ptr<storage::Scratch> scratch_;
+  std::unique_ptr<StoredTiles> tiles_;
+};
 
 }  // namespace
 
@@ -52,47 +316,17 @@ absl::StatusOr<ProcessReport> ProcessStoredMap(
     return absl::FailedPreconditionError(absl::StrCat(
         "map ", map_id, " has no points; upload some and finalize them"));
   }
-  const std::string stored_options = FormatSpdfOptions(options);
   if (base.processed_revision != 0 && base.totals.stale_tile_count == 0 &&
-      map.process_options == stored_options) {
+      map.process_options == FormatSpdfOptions(options)) {
     MAPSIEVE_ASSIGN_OR_RETURN(
         const storage::RevisionRecord processed,
         store.catalogue().GetRevision(map_uid, base.processed_revision));
     return ParseProcessReport(processed.spec.description);
   }
-
-  const core::Lattice lattice(map.spec.step_nm);
-  MAPSIEVE_ASSIGN_OR_RETURN(const auto scratch, store.NewScratch());
-  ChunkWriter products(store, storage::ChunkKind::kProduct, limits.chunk_bytes,
-                       io);
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const auto tiles, StoredTiles::Open(*snapshot, *scratch, products,
-                                          limits.pending_bytes, context.stop));
-  const core::TilingOptions tiling = {.max_unit_points = limits.unit_points};
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const core::SpdfSummary summary,
-      core::FilterTiles(*tiles, lattice, options, tiling, context));
-  MAPSIEVE_RETURN_IF_ERROR(tiles->Flush());
-  MAPSIEVE_RETURN_IF_ERROR(context.CheckStop());
-
-  const core::LabelCounts kept = tiles->CountKept(
-      core::OutlierTest(summary.max_confidence, options.outlier_share));
-  const ProcessReport report = MakeReport(base.number + 1, summary, kept);
-  const storage::RevisionChange change = {
-      .spec = {.kind = storage::RevisionKind::kProcess,
-               .description = FormatProcessReport(report),
-               .attributes = base.spec.attributes,
-               .product =
-                   storage::ProductSummary{
-                       .options = stored_options,
-                       .distinct_point_count = summary.point_count,
-                       .kept_counts = kept,
-                       .max_confidence = summary.max_confidence}},
-      .added = products.chunks(),
-      .removes_product = true};
-  MAPSIEVE_RETURN_IF_ERROR(
-      store.catalogue().CommitRevision(map_uid, base.number, change).status());
-  return report;
+  MapRun run(store, *snapshot, options, limits, io, context);
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::optional<Previous> previous,
+                            run.FindPrevious());
+  return previous.has_value() ? run.Update(*previous) : run.FilterAll();
 }
 
 }  // namespace mapsieve::engine

@@ -25,13 +25,15 @@ struct ProcessLimits {
 };
 
 /// Filters the newest revision of the map `map_id`, if its uid is still
-/// `map_uid`, and commits the result as one new revision. Does nothing but tell
-/// the report of before if that is the result for these points and options.
-/// After an error the map is as before. Memory: about `limits`, except that one
-/// tile with its surroundings always is there. `io` stores chunks,
-/// `context.executor` filters. Progress: visits of tiles. Errors as
-/// Engine::ProcessMap has them for the operation; kFailedPrecondition: no
-/// points; kAborted: the map changed meanwhile.
+/// `map_uid`, and commits the result as one new revision. If the last product
+/// was made with the same options, only tiles within reach of what changed
+/// since are filtered, with the same result. Does nothing but tell the report
+/// of before if that is the result for these points and options. After an error
+/// the map is as before. Memory: about `limits`, except that one tile with its
+/// surroundings always is there. `io` stores chunks, `context.executor`
+/// filters. Progress: visits of tiles. Errors as Engine::ProcessMap has them
+/// for the operation; kFailedPrecondition: no points; kAborted: the map changed
+/// meanwhile.
 absl::StatusOr<ProcessReport> ProcessStoredMap(
     storage::Store& store, const std::string& map_id,
     const std::string& map_uid, const core::SpdfOptions& options,

@@ -25,73 +25,105 @@ constexpr int64_t kPageSize = 1000;
 /// More tiles are not written at once: their bookkeeping is not counted.
 constexpr size_t kMaxPendingTiles = 64;
 constexpr size_t kConfidenceCount = 65536;
+/// The filter's columns of a product chunk.
+constexpr int64_t kProductPointBytes = 23;
 
 std::string StateName(const CellKey& key, core::TileStateKind kind) {
   return std::to_string(static_cast<int>(kind)) + "-" + key.ToString();
 }
 
-/// Rows of `points` whose position is among `positions`; both in Morton order.
-std::vector<uint32_t> RowsAt(std::span<const LatticePoint> points,
-                             std::span<const LatticePoint> positions) {
-  std::vector<uint32_t> rows;
-  size_t next = 0;
-  for (uint32_t row = 0; row < points.size(); ++row) {
-    while (next < positions.size() &&
-           core::MortonLess(positions[next], points[row])) {
-      ++next;
-    }
-    if (next == positions.size()) break;
-    if (positions[next] == points[row]) rows.push_back(row);
+/// Calls use(i, j) for every place that a[i] and b[j] share; both in Morton
+/// order. Of several b in one place, the first; of several a, all.
+template <typename Use>
+void ForEachCommon(std::span<const LatticePoint> a,
+                   std::span<const LatticePoint> b, const Use& use) {
+  size_t j = 0;
+  for (size_t i = 0; i < a.size(); ++i) {
+    while (j < b.size() && core::MortonLess(b[j], a[i])) ++j;
+    if (j == b.size()) return;
+    if (b[j] == a[i]) use(i, j);
   }
-  return rows;
 }
 
 }  // namespace
 
-StoredTiles::StoredTiles(const storage::ReadSnapshot& snapshot,
-                         storage::Scratch& scratch, ChunkWriter& products,
-                         int64_t max_pending_bytes, std::stop_token stop)
+ConfidenceHistogram::ConfidenceHistogram() {
+  for (std::vector<int64_t>& counts : counts_) counts.resize(kConfidenceCount);
+}
+
+core::LabelCounts ConfidenceHistogram::CountKept(
+    const core::OutlierTest& test) const {
+  core::LabelCounts kept{};
+  for (size_t l = 0; l < core::kLabelCount; ++l) {
+    for (size_t c = 0; c < kConfidenceCount; ++c) {
+      if (test.Keeps(static_cast<core::Label>(l), static_cast<uint16_t>(c))) {
+        kept[l] += counts_[l][c];
+      }
+    }
+  }
+  return kept;
+}
+
+core::MaxConfidence ConfidenceHistogram::MaxConfidences() const {
+  core::MaxConfidence largest{};
+  for (size_t l = 0; l < core::kLabelCount; ++l) {
+    for (size_t c = 0; c < kConfidenceCount; ++c) {
+      if (counts_[l][c] > 0) largest[l] = static_cast<uint16_t>(c);
+    }
+  }
+  return largest;
+}
+
+StoredTiles::StoredTiles(storage::Store& store,
+                         const storage::ReadSnapshot& snapshot,
+                         const storage::ReadSnapshot* previous,
+                         storage::Scratch& scratch, const Options& options)
     : snapshot_(snapshot),
+      previous_(previous),
       scratch_(scratch),
-      products_(products),
-      max_pending_bytes_(max_pending_bytes),
-      stop_(std::move(stop)) {
-  for (std::vector<int64_t>& counts : histogram_) {
-    counts.resize(kConfidenceCount);
+      options_(options),
+      products_(store, ChunkKind::kProduct, options.max_chunk_bytes,
+                *options.io),
+      history_(store) {
+  point_bytes_ = sizeof(LatticePoint) + kProductPointBytes;
+  for (const core::ColumnSpec& spec : snapshot.revision().spec.attributes) {
+    // A byte more for the flag of a missing value.
+    point_bytes_ += static_cast<int64_t>(core::ScalarSize(spec.type)) + 1;
   }
 }
 
 absl::StatusOr<std::unique_ptr<StoredTiles>> StoredTiles::Open(
-    const storage::ReadSnapshot& snapshot, storage::Scratch& scratch,
-    ChunkWriter& products, int64_t max_pending_bytes, std::stop_token stop) {
-  std::unique_ptr<StoredTiles> tiles(new StoredTiles(
-      snapshot, scratch, products, max_pending_bytes, std::move(stop)));
+    storage::Store& store, const storage::ReadSnapshot& snapshot,
+    const storage::ReadSnapshot* previous,
+    std::span<const core::TileChange> changes, storage::Scratch& scratch,
+    const Options& options) {
+  std::unique_ptr<StoredTiles> tiles(
+      new StoredTiles(store, snapshot, previous, scratch, options));
+  for (const core::TileChange& change : changes) {
+    tiles->changed_.insert(change.tile);
+  }
+  MAPSIEVE_RETURN_IF_ERROR(tiles->ReadTileList());
+  return tiles;
+}
+
+absl::Status StoredTiles::ReadTileList() {
   std::optional<CellKey> after;
   while (true) {
     MAPSIEVE_ASSIGN_OR_RETURN(
         const std::vector<storage::TileSummary> page,
-        snapshot.ListTiles(ChunkKind::kRaw, std::nullopt, after, kPageSize));
+        snapshot_.ListTiles(ChunkKind::kRaw, std::nullopt, after, kPageSize));
     for (const storage::TileSummary& tile : page) {
-      tiles->tiles_.push_back({tile.tile, tile.point_count});
+      tiles_.push_back({tile.tile, tile.point_count});
     }
-    if (page.empty()) return tiles;
+    if (page.empty()) return absl::OkStatus();
     after = page.back().tile;
   }
 }
 
 absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
                                                 std::span<LatticePoint> room) {
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> chunks,
-                            snapshot_.ListTileChunks(ChunkKind::kRaw, key));
-  std::vector<LatticePoint> points;
-  for (const ChunkRef& chunk : chunks) {
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const LatticeCloud cloud,
-        ReadPoints(snapshot_, chunk,
-                   {.attributes = std::vector<std::string>()}));
-    points.insert(points.end(), cloud.positions.begin(), cloud.positions.end());
-  }
-  points = core::DistinctPoints(points);
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> points,
+                            ReadDistinctPoints(snapshot_, key));
   if (points.size() > room.size()) {
     return absl::DataLossError(
         absl::StrCat("tile ", key.ToString(), ": expected up to ", room.size(),
@@ -104,12 +136,43 @@ absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
 absl::Status StoredTiles::StoreState(const CellKey& key,
                                      core::TileStateKind kind,
                                      std::span<const std::byte> bytes) {
-  return scratch_.Write(StateName(key, kind), bytes);
+  MAPSIEVE_RETURN_IF_ERROR(scratch_.Write(StateName(key, kind), bytes));
+  if (kind == core::TileStateKind::kDeaths) stored_deaths_.insert(key);
+  return absl::OkStatus();
 }
 
 absl::StatusOr<std::vector<std::byte>> StoredTiles::LoadState(
     const CellKey& key, core::TileStateKind kind) {
-  return scratch_.Read(StateName(key, kind));
+  if (kind != core::TileStateKind::kDeaths || previous_ == nullptr ||
+      stored_deaths_.contains(key)) {
+    return scratch_.Read(StateName(key, kind));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<core::DeathRound> deaths,
+                            PreviousDeaths(key));
+  const auto bytes = std::as_bytes(std::span(deaths));
+  return std::vector<std::byte>(bytes.begin(), bytes.end());
+}
+
+/// Of the tile's points of today: those of the previous run, kAlive for points
+/// that were not there.
+absl::StatusOr<std::vector<core::DeathRound>> StoredTiles::PreviousDeaths(
+    const CellKey& key) {
+  MAPSIEVE_ASSIGN_OR_RETURN(std::vector<core::DeathRound> before,
+                            ReadDeaths(*previous_, key));
+  if (!changed_.contains(key)) return before;
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> old_points,
+                            ReadDistinctPoints(*previous_, key));
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> points,
+                            ReadDistinctPoints(snapshot_, key));
+  if (before.size() != old_points.size()) {
+    return absl::DataLossError(
+        absl::StrCat("tile ", key.ToString(), ": expected ", old_points.size(),
+                     " points in its history, found ", before.size()));
+  }
+  std::vector<core::DeathRound> deaths(points.size(), core::kAlive);
+  ForEachCommon(points, old_points,
+                [&](size_t i, size_t j) { deaths[i] = before[j]; });
+  return deaths;
 }
 
 absl::StatusOr<LatticeCloud> StoredTiles::CollectRepresentatives(
@@ -121,7 +184,11 @@ absl::StatusOr<LatticeCloud> StoredTiles::CollectRepresentatives(
   for (const ChunkRef& chunk : chunks) {
     MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud cloud,
                               ReadPoints(snapshot_, chunk));
-    const LatticeCloud part = cloud.Select(RowsAt(cloud.positions, positions));
+    std::vector<uint32_t> rows;
+    ForEachCommon(cloud.positions, positions, [&](size_t i, size_t) {
+      rows.push_back(static_cast<uint32_t>(i));
+    });
+    const LatticeCloud part = cloud.Select(rows);
     MAPSIEVE_RETURN_IF_ERROR(collected.attributes.AppendAll(
         collected.size(), part.attributes, part.size()));
     collected.positions.insert(collected.positions.end(),
@@ -141,19 +208,19 @@ absl::StatusOr<LatticeCloud> StoredTiles::CollectRepresentatives(
 }
 
 absl::Status StoredTiles::Emit(const core::TileResult& result) {
-  if (result.rows.empty()) return absl::OkStatus();
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      LatticeCloud points,
-      CollectRepresentatives(result.key, result.positions));
   const core::LabelSpans& labels = result.columns;
   for (size_t i = 0; i < labels.size(); ++i) {
-    ++histogram_[static_cast<size_t>(labels.label[i])][labels.confidence[i]];
+    histogram_.Add(labels.label[i], labels.confidence[i]);
   }
-  LatticeCloud product = MakeProductCloud(std::move(points), labels);
-  pending_bytes_ +=
-      static_cast<int64_t>(product.size()) * DecodedPointBytes(product);
-  pending_.push_back({result.key, std::move(product)});
-  if (pending_bytes_ < max_pending_bytes_ &&
+  emitted_.insert(result.key);
+  Pending pending = {.tile = result.key};
+  pending.deaths.assign(result.deaths.begin(), result.deaths.end());
+  pending.positions.assign(result.positions.begin(), result.positions.end());
+  pending.columns.Append(labels);
+  pending_bytes_ += static_cast<int64_t>(pending.deaths.size()) +
+                    static_cast<int64_t>(labels.size()) * 2 * point_bytes_;
+  pending_.push_back(std::move(pending));
+  if (pending_bytes_ < options_.max_pending_bytes &&
       pending_.size() < kMaxPendingTiles) {
     return absl::OkStatus();
   }
@@ -162,19 +229,37 @@ absl::Status StoredTiles::Emit(const core::TileResult& result) {
 
 absl::Status StoredTiles::Flush() {
   pending_bytes_ = 0;
-  return products_.Write(std::exchange(pending_, {}), stop_);
+  const std::vector<Pending> pending = std::exchange(pending_, {});
+  std::vector<TileCloud> clouds(pending.size());
+  std::vector<std::vector<ChunkRef>> histories(pending.size());
+  MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
+      *options_.io, static_cast<int64_t>(pending.size()),
+      [&](int64_t i) -> absl::Status {
+        if (options_.stop.stop_requested()) {
+          return absl::CancelledError("cancelled");
+        }
+        const Pending& tile = pending[static_cast<size_t>(i)];
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            LatticeCloud points,
+            CollectRepresentatives(tile.tile, tile.positions));
+        clouds[static_cast<size_t>(i)] = {
+            tile.tile, MakeProductCloud(std::move(points), tile.columns.All())};
+        MAPSIEVE_ASSIGN_OR_RETURN(histories[static_cast<size_t>(i)],
+                                  history_.Write(tile.tile, tile.deaths));
+        return absl::OkStatus();
+      }));
+  for (const std::vector<ChunkRef>& chunks : histories) {
+    history_chunks_.insert(history_chunks_.end(), chunks.begin(), chunks.end());
+  }
+  std::erase_if(
+      clouds, [](const TileCloud& cloud) { return cloud.points.size() == 0; });
+  return products_.Write(std::move(clouds), options_.stop);
 }
 
-core::LabelCounts StoredTiles::CountKept(const core::OutlierTest& test) const {
-  core::LabelCounts kept{};
-  for (size_t l = 0; l < core::kLabelCount; ++l) {
-    for (size_t c = 0; c < kConfidenceCount; ++c) {
-      if (test.Keeps(static_cast<core::Label>(l), static_cast<uint16_t>(c))) {
-        kept[l] += histogram_[l][c];
-      }
-    }
-  }
-  return kept;
+std::vector<ChunkRef> StoredTiles::chunks() const {
+  std::vector<ChunkRef> chunks = products_.chunks();
+  chunks.insert(chunks.end(), history_chunks_.begin(), history_chunks_.end());
+  return chunks;
 }
 
 }  // namespace mapsieve::engine

@@ -7,6 +7,7 @@
 #include <memory>
 #include <span>
 #include <stop_token>
+#include <unordered_set>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -14,21 +15,52 @@
 #include "core/cloud/point_cloud.h"
 #include "core/spdf/labels.h"
 #include "core/spdf/tile_filter.h"
+#include "core/spdf/tile_update.h"
 #include "server/engine/chunk_writer.h"
+#include "server/engine/death_history.h"
 #include "storage/store.h"
 
 namespace mapsieve::engine {
 
+/// Counts of points by label and confidence.
+class ConfidenceHistogram {
+ public:
+  ConfidenceHistogram();
+  void Add(core::Label label, uint16_t confidence) {
+    ++counts_[static_cast<size_t>(label)][confidence];
+  }
+  /// Points of each label that are no outliers.
+  core::LabelCounts CountKept(const core::OutlierTest& test) const;
+  /// 0 for a label without points.
+  core::MaxConfidence MaxConfidences() const;
+
+ private:
+  std::array<std::vector<int64_t>, core::kLabelCount> counts_;
+};
+
 /// Tile by tile the raw points of a stored revision for the filter, and the
-/// filter's answer as product chunks. Memory: the raw chunks of one tile one
-/// after the other, and answers up to a limit before they are written.
+/// filter's answer as product and history chunks. Memory: the raw chunks of one
+/// tile for each worker, and answers up to a limit before they are written.
 class StoredTiles final : public core::TileStore {
  public:
-  /// Reads the list of tiles. `products` gets the answer; the references
-  /// outlive the object.
+  struct Options {
+    /// Decoded answers that wait to be written.
+    int64_t max_pending_bytes = 0;
+    /// Of a decoded product chunk.
+    int64_t max_chunk_bytes = 0;
+    /// Reads, encodes and stores answers.
+    Executor* io = nullptr;
+    std::stop_token stop;
+  };
+
+  /// Reads the list of tiles. `previous`: the revision whose history serves
+  /// tiles that the run has not filtered yet, with `changes` (FindChanges)
+  /// since then; null for none. The references outlive the object.
   static absl::StatusOr<std::unique_ptr<StoredTiles>> Open(
-      const storage::ReadSnapshot& snapshot, storage::Scratch& scratch,
-      ChunkWriter& products, int64_t max_pending_bytes, std::stop_token stop);
+      storage::Store& store, const storage::ReadSnapshot& snapshot,
+      const storage::ReadSnapshot* previous,
+      std::span<const core::TileChange> changes, storage::Scratch& scratch,
+      const Options& options);
 
   std::vector<core::TileInfo> Tiles() const override { return tiles_; }
   absl::StatusOr<int64_t> LoadPoints(
@@ -42,26 +74,51 @@ class StoredTiles final : public core::TileStore {
   /// Writes what is pending; to be called after the last Emit.
   absl::Status Flush();
 
-  /// Points emitted of each label that are no outliers.
-  core::LabelCounts CountKept(const core::OutlierTest& test) const;
+  /// References to what was written: product chunks, then history chunks. Safe
+  /// from collection while this object lives.
+  std::vector<storage::ChunkRef> chunks() const;
+  /// The tiles emitted.
+  const std::unordered_set<core::CellKey, core::CellKeyHash>& emitted() const {
+    return emitted_;
+  }
+  /// Of the points emitted.
+  const ConfidenceHistogram& histogram() const { return histogram_; }
 
  private:
-  StoredTiles(const storage::ReadSnapshot& snapshot, storage::Scratch& scratch,
-              ChunkWriter& products, int64_t max_pending_bytes,
-              std::stop_token stop);
+  /// An answer that waits.
+  struct Pending {
+    core::CellKey tile;
+    std::vector<core::DeathRound> deaths;
+    std::vector<core::LatticePoint> positions;
+    core::LabelColumns columns;
+  };
+
+  StoredTiles(storage::Store& store, const storage::ReadSnapshot& snapshot,
+              const storage::ReadSnapshot* previous, storage::Scratch& scratch,
+              const Options& options);
+  absl::Status ReadTileList();
+  absl::StatusOr<std::vector<core::DeathRound>> PreviousDeaths(
+      const core::CellKey& key);
   absl::StatusOr<core::LatticeCloud> CollectRepresentatives(
       const core::CellKey& tile, std::span<const core::LatticePoint> positions);
 
   const storage::ReadSnapshot& snapshot_;
+  const storage::ReadSnapshot* const previous_;
   storage::Scratch& scratch_;
-  ChunkWriter& products_;
-  const int64_t max_pending_bytes_;
-  const std::stop_token stop_;
+  const Options options_;
+  ChunkWriter products_;
+  DeathHistoryWriter history_;
+  std::vector<storage::ChunkRef> history_chunks_;
   std::vector<core::TileInfo> tiles_;
-  std::vector<TileCloud> pending_;
+  std::unordered_set<core::CellKey, core::CellKeyHash> changed_;
+  /// Tiles whose deaths are in scratch_.
+  std::unordered_set<core::CellKey, core::CellKeyHash> stored_deaths_;
+  std::unordered_set<core::CellKey, core::CellKeyHash> emitted_;
+  std::vector<Pending> pending_;
   int64_t pending_bytes_ = 0;
-  /// Points emitted, by label and confidence.
-  std::array<std::vector<int64_t>, core::kLabelCount> histogram_;
+  /// An upper bound of the memory of a decoded point of the map.
+  int64_t point_bytes_ = 0;
+  ConfidenceHistogram histogram_;
 };
 
 }  // namespace mapsieve::engine

@@ -215,7 +215,10 @@ struct ProcessReport {
   core::LabelCounts label_counts{};
   /// Survivors of the filter that are outliers.
   int64_t outlier_count = 0;
+  /// Of the runs that made the result, the most rounds.
   int round_count = 0;
+  /// Tiles that this run filtered anew.
+  int64_t updated_tile_count = 0;
 
   friend bool operator==(const ProcessReport&, const ProcessReport&) = default;
 };

@@ -421,6 +421,7 @@ v1::Operation ToProto(const engine::Operation& operation) {
     *response.mutable_label_counts() = ToProto(report.label_counts);
     response.set_outlier_count(report.outlier_count);
     response.set_round_count(report.round_count);
+    response.set_updated_tile_count(report.updated_tile_count);
     result.mutable_response()->PackFrom(response);
   } else {
     *result.mutable_error() = ToRpcStatus(operation.error);

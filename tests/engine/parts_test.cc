@@ -81,7 +81,8 @@ TEST(OpaqueRecords, ComeBackAsTheyWere) {
                              .point_count = 50,
                              .label_counts = {0, 10, 15, 25},
                              .outlier_count = 4,
-                             .round_count = 6};
+                             .round_count = 6,
+                             .updated_tile_count = 5};
   ExpectRoundTrip(run, FormatProcessReport(run), ParseProcessReport);
   const JobSpec finalize = {.verb = OperationVerb::kFinalizeUpload,
                             .map_uid = "map",

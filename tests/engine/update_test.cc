@@ -1,0 +1,187 @@
+// A product that is kept up to date is, byte for byte, that of a map built from
+// the same points.
+
+#include <map>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "core/cloud/merge_duplicates.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "tests/engine/engine_testing.h"
+#include "tests/testing/clouds.h"
+#include "tests/testing/status_matchers.h"
+
+namespace mapsieve::engine::testing {
+namespace {
+
+using core::DensityRule;
+using core::LatticeCloud;
+using core::SpdfOptions;
+using storage::ChunkKind;
+using storage::ChunkRef;
+
+constexpr IngestLimits kIngest = {.block_bytes = 1 << 26,
+                                  .bucket_bytes = 1 << 28,
+                                  .chunk_bytes = 1 << 24,
+                                  .chunk_count = 100'000};
+constexpr ProcessLimits kProcess = {
+    .unit_points = 3000, .pending_bytes = 1 << 18, .chunk_bytes = 30'000};
+
+std::vector<ChunkRef> ChunksOf(Workshop& workshop, ChunkKind kind) {
+  const auto snapshot = workshop.store().OpenSnapshot("map");
+  EXPECT_TRUE(snapshot.ok()) << snapshot.status();
+  const auto chunks =
+      (*snapshot)->ListChunks(kind, std::nullopt, std::nullopt, 100'000);
+  EXPECT_TRUE(chunks.ok()) << chunks.status();
+  return *chunks;
+}
+
+/// Content of the chunks of each tile, in order.
+using Contents = std::map<std::string, std::vector<storage::BlobId>>;
+Contents ContentsOf(Workshop& workshop, ChunkKind kind) {
+  Contents contents;
+  for (const ChunkRef& chunk : ChunksOf(workshop, kind)) {
+    contents[chunk.tile.ToString()].push_back(chunk.blob_id);
+  }
+  return contents;
+}
+
+storage::RevisionRecord NewestRevision(Workshop& workshop) {
+  const auto snapshot = workshop.store().OpenSnapshot("map");
+  EXPECT_TRUE(snapshot.ok()) << snapshot.status();
+  return (*snapshot)->revision();
+}
+
+/// Part of `scene` around one of its points, moved a little.
+LatticeCloud Clump(const LatticeCloud& scene, std::mt19937_64& random) {
+  const core::LatticePoint center = scene.positions[random() % scene.size()];
+  const int64_t radius = 100 + static_cast<int64_t>(random() % 500);
+  std::vector<uint32_t> rows;
+  for (uint32_t row = 0; row < scene.size(); ++row) {
+    const core::LatticePoint& q = scene.positions[row];
+    if (std::abs(q.x - center.x) < radius &&
+        std::abs(q.y - center.y) < radius &&
+        std::abs(q.z - center.z) < radius) {
+      rows.push_back(row);
+    }
+  }
+  LatticeCloud clump = scene.Select(rows);
+  for (core::LatticePoint& q : clump.positions) {
+    q.x += static_cast<int64_t>(random() % 9) - 4;
+    q.z += static_cast<int64_t>(random() % 9) - 4;
+  }
+  return clump;
+}
+
+void Append(const LatticeCloud& part, LatticeCloud& all) {
+  MAPSIEVE_ASSERT_OK(
+      all.attributes.AppendAll(all.size(), part.attributes, part.size()));
+  all.positions.insert(all.positions.end(), part.positions.begin(),
+                       part.positions.end());
+}
+
+class UpdateTest : public ::testing::TestWithParam<DensityRule> {};
+
+TEST_P(UpdateTest, GivesTheBytesOfAMapBuiltFromTheSamePoints) {
+  const SpdfOptions options = SceneOptions(GetParam());
+  constexpr int kTileLevel = 10;
+  std::mt19937_64 random(7);
+  LatticeCloud all = MakeScene(11);
+  Workshop edited(kTileLevel, 2);
+  MAPSIEVE_ASSERT_OK(edited.Add(all, kIngest));
+  MAPSIEVE_ASSERT_OK(edited.Process(options, kProcess));
+  for (int edit = 0; edit < 4; ++edit) {
+    SCOPED_TRACE(edit);
+    const LatticeCloud clump = Clump(all, random);
+    Append(clump, all);
+    MAPSIEVE_ASSERT_OK(edited.Add(clump, kIngest));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport report,
+                                  edited.Process(options, kProcess));
+    Workshop scratch(kTileLevel);
+    MAPSIEVE_ASSERT_OK(scratch.Add(all, kIngest));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport expected,
+                                  scratch.Process(options, kProcess));
+    EXPECT_LT(report.updated_tile_count, expected.updated_tile_count);
+    EXPECT_GT(report.updated_tile_count, 0);
+    EXPECT_EQ(report.distinct_point_count, expected.distinct_point_count);
+    EXPECT_EQ(report.label_counts, expected.label_counts);
+    EXPECT_EQ(report.outlier_count, expected.outlier_count);
+    for (const ChunkKind kind : {ChunkKind::kProduct, ChunkKind::kHistory}) {
+      EXPECT_EQ(ContentsOf(edited, kind), ContentsOf(scratch, kind));
+    }
+    const storage::RevisionRecord a = NewestRevision(edited);
+    const storage::RevisionRecord b = NewestRevision(scratch);
+    EXPECT_EQ(a.spec.product, b.spec.product);
+    EXPECT_EQ(a.totals.product_point_count, b.totals.product_point_count);
+    EXPECT_EQ(a.totals.label_counts, b.totals.label_counts);
+    EXPECT_EQ(a.totals.stale_tile_count, 0);
+    const LatticeCloud local = FilterLocally(all, options);
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer, edited.Query({}));
+    ExpectSameCloud(answer.points, local);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Rules, UpdateTest,
+                         ::testing::Values(DensityRule::kPaper,
+                                           DensityRule::kQuota));
+
+TEST(Update, SharesTheChunksOfTilesOutOfReach) {
+  const SpdfOptions options = SceneOptions(DensityRule::kPaper);
+  std::mt19937_64 random(3);
+  const LatticeCloud scene = MakeScene(12);
+  Workshop workshop(10);
+  MAPSIEVE_ASSERT_OK(workshop.Add(scene, kIngest));
+  MAPSIEVE_ASSERT_OK(workshop.Process(options, kProcess));
+  std::map<int64_t, core::CellKey> before;
+  for (const ChunkRef& chunk : ChunksOf(workshop, ChunkKind::kProduct)) {
+    before[chunk.number] = chunk.tile;
+  }
+  MAPSIEVE_ASSERT_OK(workshop.Add(Clump(scene, random), kIngest));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport report,
+                                workshop.Process(options, kProcess));
+  size_t shared = 0;
+  for (const ChunkRef& chunk : ChunksOf(workshop, ChunkKind::kProduct)) {
+    shared += before.contains(chunk.number) ? 1 : 0;
+  }
+  EXPECT_GE(shared + static_cast<size_t>(report.updated_tile_count),
+            before.size());
+  EXPECT_GT(shared, before.size() / 4);
+}
+
+TEST(Update, OtherOptionsFilterEverything) {
+  std::mt19937_64 random(4);
+  const LatticeCloud scene = MakeScene(13);
+  Workshop workshop(11);
+  MAPSIEVE_ASSERT_OK(workshop.Add(scene, kIngest));
+  SpdfOptions options = SceneOptions(DensityRule::kQuota);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport first,
+                                workshop.Process(options, kProcess));
+  options.neighbor_count -= 1;
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport second,
+                                workshop.Process(options, kProcess));
+  EXPECT_EQ(second.updated_tile_count, first.updated_tile_count);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer, workshop.Query({}));
+  ExpectSameCloud(answer.points, FilterLocally(scene, options));
+}
+
+TEST(Update, ACancelledOneLeavesTheProductAsItWas) {
+  const SpdfOptions options = SceneOptions(DensityRule::kPaper);
+  std::mt19937_64 random(5);
+  const LatticeCloud scene = MakeScene(14);
+  Workshop workshop(10);
+  MAPSIEVE_ASSERT_OK(workshop.Add(scene, kIngest));
+  MAPSIEVE_ASSERT_OK(workshop.Process(options, kProcess));
+  const Contents before = ContentsOf(workshop, ChunkKind::kProduct);
+  MAPSIEVE_ASSERT_OK(workshop.Add(Clump(scene, random), kIngest));
+  std::stop_source stop;
+  stop.request_stop();
+  EXPECT_THAT(
+      workshop.Process(options, kProcess, {.stop = stop.get_token()}),
+      mapsieve::testing::StatusIs(absl::StatusCode::kCancelled, ::testing::_));
+  EXPECT_EQ(ContentsOf(workshop, ChunkKind::kProduct), before);
+}
+
+}  // namespace
+}  // namespace mapsieve::engine::testing
