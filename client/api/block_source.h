@@ -41,6 +41,32 @@ class CloudBlocks final : public BlockSource {
   size_t next_ = 0;
 };
 
+/// The blocks of another source, which must outlive it; those of a source of up
+/// to `max_bytes` are made once and kept.
+class KeptBlocks final : public BlockSource {
+ public:
+  explicit KeptBlocks(BlockSource& source, int64_t max_bytes = int64_t{1} << 28)
+      : source_(source), max_bytes_(max_bytes) {}
+  absl::Status Rewind() override;
+  absl::StatusOr<std::vector<std::byte>> NextBlock() override;
+  core::RefusedCounts refused() const override { return source_.refused(); }
+
+ private:
+  enum class Keeping {
+    kNothing,
+    /// All blocks so far.
+    kSoFar,
+    kAll,
+  };
+
+  BlockSource& source_;
+  const int64_t max_bytes_;
+  Keeping keeping_ = Keeping::kNothing;
+  std::vector<std::vector<std::byte>> kept_;
+  int64_t kept_bytes_ = 0;
+  size_t next_ = 0;
+};
+
 }  // namespace mapsieve::client
 
 #endif  // MAPSIEVE_CLIENT_API_BLOCK_SOURCE_H_

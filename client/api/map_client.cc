@@ -300,7 +300,8 @@ absl::StatusOr<UploadReport> MapClient::Upload(
     const std::string& map_id, BlockSource& source,
     const ProgressCallback& progress) {
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, GetMap(map_id));
-  MAPSIEVE_ASSIGN_OR_RETURN(const Digest digest, DigestOf(source));
+  KeptBlocks blocks(source);
+  MAPSIEVE_ASSIGN_OR_RETURN(const Digest digest, DigestOf(blocks));
   v1::Upload upload;
   {
     grpc::ClientContext context;
@@ -326,7 +327,7 @@ absl::StatusOr<UploadReport> MapClient::Upload(
   int64_t sent = 0;
   if (upload.state() == v1::Upload::STATE_ACTIVE &&
       upload.committed_bytes() < digest.bytes) {
-    MAPSIEVE_RETURN_IF_ERROR(connection_->Write(upload.name(), source,
+    MAPSIEVE_RETURN_IF_ERROR(connection_->Write(upload.name(), blocks,
                                                 upload.committed_bytes(),
                                                 digest.bytes, progress, sent));
   }

@@ -1,17 +1,21 @@
 #ifndef MAPSIEVE_CLIENT_CLI_FILE_BLOCKS_H_
 #define MAPSIEVE_CLIENT_CLI_FILE_BLOCKS_H_
 
+#include <cstddef>
+#include <deque>
 #include <filesystem>
 #include <memory>
+#include <vector>
 
 #include "client/api/block_source.h"
 #include "client/formats/point_file.h"
+#include "core/base/executor.h"
 #include "core/geometry/lattice.h"
 
 namespace mapsieve::client {
 
-/// The blocks of a point file on a map's lattice, in file order. One batch is
-/// in memory at a time.
+/// The blocks of a point file on a map's lattice, in file order. One batch for
+/// each processor is in memory at a time.
 class FileBlocks final : public BlockSource {
  public:
   FileBlocks(std::filesystem::path path, ReadOptions options,
@@ -19,6 +23,7 @@ class FileBlocks final : public BlockSource {
 
   absl::Status Rewind() override;
   absl::StatusOr<std::vector<std::byte>> NextBlock() override;
+  /// Of all batches read, those whose blocks are still to come included.
   core::RefusedCounts refused() const override { return refused_; }
   /// Of the open file; Rewind comes first.
   const PointFileInfo& info() const { return reader_->info(); }
@@ -27,7 +32,10 @@ class FileBlocks final : public BlockSource {
   const std::filesystem::path path_;
   const ReadOptions options_;
   const core::Lattice lattice_;
+  /// Encodes batches.
+  const std::unique_ptr<Executor> workers_;
   std::unique_ptr<PointReader> reader_;
+  std::deque<std::vector<std::byte>> ready_;
   core::RefusedCounts refused_;
 };
 

@@ -79,11 +79,14 @@ void Column::AppendMissing(size_t count) {
 
 Column Column::Select(std::span<const uint32_t> rows) const {
   Column result(spec_, rows.size());
-  const size_t width = value_size();
-  for (size_t i = 0; i < rows.size(); ++i) {
-    std::memcpy(result.bytes_.data() + i * width,
-                bytes_.data() + rows[i] * width, width);
-  }
+  // A width that the compiler knows is a single move.
+  VisitScalarType(type(), [&](auto zero) {
+    constexpr size_t kWidth = sizeof(zero);
+    for (size_t i = 0; i < rows.size(); ++i) {
+      std::memcpy(result.bytes_.data() + i * kWidth,
+                  bytes_.data() + rows[i] * kWidth, kWidth);
+    }
+  });
   if (!missing_.empty()) {
     std::vector<uint8_t> missing(rows.size());
     bool any = false;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <map>
 #include <memory>
 #include <set>
 #include <span>
@@ -12,7 +13,6 @@
 
 #include "core/base/hash.h"
 #include "core/base/status.h"
-#include "core/cloud/merge_duplicates.h"
 #include "core/codec/points_codec.h"
 #include "core/geometry/cell_key.h"
 #include "server/engine/attribute_schema.h"
@@ -102,23 +102,31 @@ class Ingest {
   absl::Status Run(const storage::UploadReader& reader,
                    AttributeSchema& schema) {
     ContentHasher hasher;
+    std::vector<Block> blocks;
+    int64_t decoded_bytes = 0;
     for (int64_t offset = 0; offset < reader.size();) {
       MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
       context_.ReportProgress(offset, reader.size());
-      auto block = ReadBlock(reader, offset);
-      absl::Status status = block.status();
-      if (status.ok()) {
-        hasher.Update(*block);
-        offset += static_cast<int64_t>(block->size());
-        status = AddBlock(*block, schema);
-      }
-      if (!status.ok()) {
-        return Annotate(status,
-                        absl::StrCat("upload ", upload_.spec.id, ", block ",
-                                     block_count_, " at ", offset));
-      }
+      Block block = {.number = block_count_, .offset = offset};
+      MAPSIEVE_RETURN_IF_ERROR(
+          AtBlock(ReadBlock(reader, schema, block), block));
+      hasher.Update(block.bytes);
+      offset += static_cast<int64_t>(block.bytes.size());
       ++block_count_;
+      // As many at a time as there are workers, in the memory of the largest.
+      if (decoded_bytes + block.decoded_bytes > limits_.block_bytes) {
+        MAPSIEVE_RETURN_IF_ERROR(AddBlocks(std::exchange(blocks, {})));
+        decoded_bytes = 0;
+      }
+      decoded_bytes += block.decoded_bytes;
+      blocks.push_back(std::move(block));
+      if (blocks.size() ==
+          static_cast<size_t>(context_.executor->worker_count())) {
+        MAPSIEVE_RETURN_IF_ERROR(AddBlocks(std::exchange(blocks, {})));
+        decoded_bytes = 0;
+      }
     }
+    MAPSIEVE_RETURN_IF_ERROR(AddBlocks(std::move(blocks)));
     if (hasher.HexDigest() != upload_.spec.content_hash) {
       return absl::DataLossError(absl::StrCat(
           "upload ", upload_.spec.id, ": its ", reader.size(),
@@ -159,12 +167,28 @@ class Ingest {
   }
 
  private:
-  absl::StatusOr<std::vector<std::byte>> ReadBlock(
-      const storage::UploadReader& reader, int64_t offset) const {
-    const int64_t left = reader.size() - offset;
+  /// One block of the upload.
+  struct Block {
+    int64_t number = 0;
+    int64_t offset = 0;
+    std::vector<std::byte> bytes;
+    int64_t decoded_bytes = 0;
+  };
+
+  absl::Status AtBlock(const absl::Status& status, const Block& block) const {
+    if (status.ok()) return status;
+    return Annotate(status, absl::StrCat("upload ", upload_.spec.id, ", block ",
+                                         block.number, " at ", block.offset));
+  }
+
+  /// Reads the block at block.offset and checks its head.
+  absl::Status ReadBlock(const storage::UploadReader& reader,
+                         AttributeSchema& schema, Block& block) const {
+    const int64_t left = reader.size() - block.offset;
     constexpr auto kPrefix = static_cast<int64_t>(core::kBlockPrefixBytes);
-    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> prefix,
-                              reader.Read(offset, std::min(left, kPrefix)));
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const std::vector<std::byte> prefix,
+        reader.Read(block.offset, std::min(left, kPrefix)));
     if (left < kPrefix) {
       return absl::DataLossError(
           absl::StrCat("the upload ends inside a block: expected at least ",
@@ -178,7 +202,8 @@ class Ingest {
                        " bytes, have ", left));
     }
     if (length > limits_.block_bytes) return TooLarge("", length);
-    return reader.Read(offset, length);
+    MAPSIEVE_ASSIGN_OR_RETURN(block.bytes, reader.Read(block.offset, length));
+    return CheckHead(schema, block);
   }
 
   absl::Status TooLarge(std::string_view decoded, int64_t bytes) const {
@@ -187,10 +212,9 @@ class Ingest {
         limits_.block_bytes, "; send smaller blocks"));
   }
 
-  absl::Status AddBlock(std::span<const std::byte> bytes,
-                        AttributeSchema& schema) {
+  absl::Status CheckHead(AttributeSchema& schema, Block& block) const {
     MAPSIEVE_ASSIGN_OR_RETURN(const core::BlockHeader header,
-                              core::ReadBlockHeader(bytes));
+                              core::ReadBlockHeader(block.bytes));
     if (header.step_nm != map_.spec.step_nm) {
       return absl::InvalidArgumentError(
           absl::StrCat("the block has a lattice step of ", header.step_nm,
@@ -200,29 +224,52 @@ class Ingest {
     if (header.decoded_bytes > limits_.block_bytes) {
       return TooLarge(" decoded", header.decoded_bytes);
     }
-    MAPSIEVE_RETURN_IF_ERROR(schema.Add(header.columns));
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const LatticeCloud points,
-        core::DecodePoints(bytes, {.max_decoded_bytes = limits_.block_bytes}));
-    return AddPoints(points);
+    block.decoded_bytes = header.decoded_bytes;
+    return schema.Add(header.columns);
   }
 
-  absl::Status AddPoints(const LatticeCloud& points) {
-    const auto tile_of = [&](uint32_t row) {
-      return CellKey::Of(points.positions[row], map_.spec.tile_level);
-    };
-    // In Morton order every tile is one range of rows.
-    const std::vector<uint32_t> order = core::MortonOrder(points.positions);
-    for (size_t begin = 0, end = 0; begin < order.size(); begin = end) {
-      const CellKey tile = tile_of(order[begin]);
-      while (end < order.size() && tile_of(order[end]) == tile) ++end;
-      MAPSIEVE_RETURN_IF_ERROR(buckets_.Add(
-          tile, points.Select(std::span(order).subspan(begin, end - begin))));
-      if (buckets_.bytes() > limits_.bucket_bytes) {
-        MAPSIEVE_RETURN_IF_ERROR(Flush(limits_.bucket_bytes / 2));
+  absl::Status AddBlocks(std::vector<Block> blocks) {
+    std::vector<std::vector<TileCloud>> parts(blocks.size());
+    MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
+        *context_.executor, static_cast<int64_t>(blocks.size()),
+        [&](int64_t i) -> absl::Status {
+          const Block& block = blocks[static_cast<size_t>(i)];
+          const auto points = core::DecodePoints(
+              block.bytes, {.max_decoded_bytes = limits_.block_bytes});
+          MAPSIEVE_RETURN_IF_ERROR(AtBlock(points.status(), block));
+          parts[static_cast<size_t>(i)] = SplitByTile(*points);
+          return absl::OkStatus();
+        }));
+    for (const std::vector<TileCloud>& of_block : parts) {
+      for (const TileCloud& part : of_block) {
+        MAPSIEVE_RETURN_IF_ERROR(buckets_.Add(part.tile, part.points));
+        if (buckets_.bytes() > limits_.bucket_bytes) {
+          MAPSIEVE_RETURN_IF_ERROR(Flush(limits_.bucket_bytes / 2));
+        }
       }
     }
     return absl::OkStatus();
+  }
+
+  /// The points of each tile in the order given, tiles in Morton order.
+  std::vector<TileCloud> SplitByTile(const LatticeCloud& points) const {
+    std::map<CellKey, std::vector<uint32_t>, core::CellKeyLess> rows_of;
+    CellKey last = {.level = -1};
+    std::vector<uint32_t>* rows = nullptr;
+    for (uint32_t row = 0; row < points.size(); ++row) {
+      const CellKey tile =
+          CellKey::Of(points.positions[row], map_.spec.tile_level);
+      if (!(tile == last)) {
+        rows = &rows_of[tile];
+        last = tile;
+      }
+      rows->push_back(row);
+    }
+    std::vector<TileCloud> parts;
+    for (const auto& [tile, of_tile] : rows_of) {
+      parts.push_back({tile, points.Select(of_tile)});
+    }
+    return parts;
   }
 
   absl::Status Flush(int64_t target_bytes) {

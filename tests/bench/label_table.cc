@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <map>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -413,9 +414,11 @@ absl::Status PrintTables(const std::string& reference_folder) {
   PrintPosts(simulated.yard);
 
   std::printf("\n## Confusion\n");
-  for (const auto* results :
-       {&simulated.campus, &simulated.yard, &references}) {
-    for (const CloudResult& result : *results) PrintConfusion(result);
+  for (const std::span<const CloudResult> results :
+       {std::span<const CloudResult>(simulated.campus),
+        std::span<const CloudResult>(simulated.yard),
+        std::span<const CloudResult>(references)}) {
+    for (const CloudResult& result : results) PrintConfusion(result);
   }
   PrintEdges();
   PrintNormals();
