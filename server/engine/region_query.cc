@@ -14,8 +14,10 @@
 #include <vector>
 
 #include "core/base/status.h"
+#include "core/cloud/merge_duplicates.h"
 #include "core/codec/points_codec.h"
 #include "core/sampling/spatial_budget.h"
+#include "core/spdf/levels.h"
 #include "server/engine/answer_columns.h"
 #include "server/engine/chunk_reader.h"
 #include "server/engine/opaque_records.h"
@@ -34,10 +36,10 @@ using storage::ReadSnapshot;
 
 /// Catalogue rows read at a time.
 constexpr int64_t kPageSize = 256;
-/// Of a candidate under a budget: position, label, a row number and the
-/// sample's own row number.
+/// Of a candidate under a budget: position and label, as they come and sorted,
+/// the order, a row number and the sample's own row number.
 constexpr int64_t kCandidateBytes =
-    sizeof(LatticePoint) + sizeof(Label) + 2 * sizeof(uint32_t);
+    2 * (sizeof(LatticePoint) + sizeof(Label)) + 3 * sizeof(uint32_t);
 /// Of a point chosen under a budget: cell, row and centroid, twice while they
 /// are sorted.
 constexpr int64_t kChosenBytes = 80;
@@ -46,28 +48,51 @@ constexpr int64_t kChunkCopies = 3;
 /// A batch before and after it is encoded.
 constexpr int64_t kBatchCopies = 4;
 
-/// The chunks of a snapshot that may hold points of a region, by tile.
+/// The chunks of a snapshot that may hold points of a region and a level of
+/// detail, by tile; those of the product group by group of depths.
 class ChunkWalk {
  public:
   ChunkWalk(const ReadSnapshot& snapshot, ChunkKind kind,
-            const std::optional<Region>& region)
-      : snapshot_(snapshot), kind_(kind), region_(region) {}
+            const std::optional<Region>& region, int min_depth)
+      : snapshot_(snapshot),
+        kind_(kind),
+        region_(region),
+        min_depth_(min_depth) {}
 
   absl::StatusOr<std::optional<ChunkRef>> Next() {
     while (true) {
       if (next_ == page_.size()) {
-        if (is_last_page_) return std::nullopt;
+        if (is_last_page_ && !GoToNextGroup()) return std::nullopt;
         MAPSIEVE_RETURN_IF_ERROR(ReadPage());
         continue;
       }
       ChunkRef& chunk = page_[next_++];
-      if (!region_.has_value() || region_->Intersects(chunk.bounds)) {
+      if (IsInGroup(chunk) &&
+          (!region_.has_value() || region_->Intersects(chunk.bounds))) {
         return std::move(chunk);
       }
     }
   }
 
  private:
+  bool IsInGroup(const ChunkRef& chunk) const {
+    return kind_ == ChunkKind::kRaw ||
+           (chunk.min_depth >= kDepthGroups[group_].min &&
+            chunk.max_depth <= kDepthGroups[group_].max &&
+            chunk.max_depth >= min_depth_);
+  }
+
+  /// False: there is none.
+  bool GoToNextGroup() {
+    if (kind_ == ChunkKind::kRaw || group_ + 1 == kDepthGroups.size() ||
+        kDepthGroups[group_ + 1].max < min_depth_) {
+      return false;
+    }
+    ++group_;
+    after_.reset();
+    return true;
+  }
+
   absl::Status ReadPage() {
     std::optional<core::LatticeBox> bounds;
     if (region_.has_value()) bounds = region_->bounds();
@@ -84,6 +109,8 @@ class ChunkWalk {
   const ReadSnapshot& snapshot_;
   const ChunkKind kind_;
   const std::optional<Region>& region_;
+  const int min_depth_;
+  size_t group_ = 0;
   std::vector<ChunkRef> page_;
   size_t next_ = 0;
   std::optional<storage::ChunkPosition> after_;
@@ -97,6 +124,7 @@ struct PointFilter {
   std::array<bool, core::kLabelCount> labels{};
   /// Nothing for raw points.
   std::optional<core::OutlierTest> outliers;
+  int min_depth = 0;
 
   /// Points of the chunk that may pass.
   int64_t CountCandidates(const ChunkRef& chunk) const {
@@ -116,6 +144,7 @@ struct PointFilter {
   absl::StatusOr<Passed> Select(const LatticeCloud& chunk) const {
     const Column* label_column = nullptr;
     const Column* confidence_column = nullptr;
+    std::vector<uint8_t> depths;
     if (outliers.has_value()) {
       MAPSIEVE_RETURN_IF_ERROR(CountLabels(chunk).status());
       MAPSIEVE_ASSIGN_OR_RETURN(
@@ -124,6 +153,9 @@ struct PointFilter {
       MAPSIEVE_ASSIGN_OR_RETURN(confidence_column,
                                 FindProductColumn(chunk, kConfidenceColumn,
                                                   core::ScalarType::kUint16));
+      if (min_depth > 0) {
+        MAPSIEVE_ASSIGN_OR_RETURN(depths, DepthsOf(chunk));
+      }
     }
     Passed passed;
     for (uint32_t row = 0; row < chunk.size(); ++row) {
@@ -134,6 +166,7 @@ struct PointFilter {
             !outliers->Keeps(label, confidence_column->Get<uint16_t>(row))) {
           continue;
         }
+        if (min_depth > 0 && depths[row] < min_depth) continue;
       }
       if (region.has_value() && !region->Contains(chunk.positions[row])) {
         continue;
@@ -159,7 +192,7 @@ class RegionQuery final : public QueryCursor {
         stop_(std::move(stop)),
         pool_(memory),
         memory_(memory),
-        walk_(*snapshot_, kind_, filter_.region) {
+        walk_(NewWalk()) {
     header_ = {.revision = snapshot_->revision().number,
                .step_nm = snapshot_->map().spec.step_nm,
                .columns = columns_.specs()};
@@ -168,7 +201,7 @@ class RegionQuery final : public QueryCursor {
 
   /// Counts the candidates and reserves what the answer needs in any case.
   absl::Status Prepare() {
-    ChunkWalk walk(*snapshot_, kind_, filter_.region);
+    ChunkWalk walk = NewWalk();
     int64_t largest = 0;
     while (true) {
       MAPSIEVE_RETURN_IF_ERROR(CheckStop());
@@ -214,6 +247,10 @@ class RegionQuery final : public QueryCursor {
   QuerySummary summary() const override { return summary_; }
 
  private:
+  ChunkWalk NewWalk() const {
+    return {*snapshot_, kind_, filter_.region, filter_.min_depth};
+  }
+
   absl::Status CheckStop() const {
     if (stop_.stop_requested()) return absl::CancelledError("cancelled");
     return absl::OkStatus();
@@ -222,7 +259,10 @@ class RegionQuery final : public QueryCursor {
   /// Columns that the filter looks at.
   std::vector<std::string> FilterNames() const {
     if (kind_ == ChunkKind::kRaw) return {};
-    return {std::string(kLabelColumn), std::string(kConfidenceColumn)};
+    std::vector<std::string> names = {std::string(kLabelColumn),
+                                      std::string(kConfidenceColumn)};
+    if (filter_.min_depth > 0) names.emplace_back(kDepthColumn);
+    return names;
   }
 
   /// Gathers all candidates and chooses among them.
@@ -242,7 +282,7 @@ class RegionQuery final : public QueryCursor {
     std::vector<Label> labels;
     positions.reserve(static_cast<size_t>(max_candidates_));
     labels.reserve(static_cast<size_t>(max_candidates_));
-    ChunkWalk walk(*snapshot_, kind_, filter_.region);
+    ChunkWalk walk = NewWalk();
     while (true) {
       MAPSIEVE_RETURN_IF_ERROR(CheckStop());
       MAPSIEVE_ASSIGN_OR_RETURN(const std::optional<ChunkRef> chunk,
@@ -262,8 +302,27 @@ class RegionQuery final : public QueryCursor {
     const auto chosen =
         std::min(max_points_, static_cast<int64_t>(labels.size()));
     MAPSIEVE_RETURN_IF_ERROR(memory_.Grow(kChosenBytes * chosen, "max_points"));
+    // The sample asks for Morton order, which the walk has within each group.
+    const std::vector<uint32_t> order = core::MortonOrder(positions);
+    std::vector<LatticePoint> sorted_positions;
+    std::vector<Label> sorted_labels;
+    for (const uint32_t row : order) {
+      sorted_positions.push_back(positions[row]);
+      sorted_labels.push_back(labels[row]);
+    }
     MAPSIEVE_ASSIGN_OR_RETURN(
-        sample_, core::SampleUnderBudget(positions, labels, chosen));
+        const core::BudgetSample sample,
+        core::SampleUnderBudget(sorted_positions, sorted_labels, chosen));
+    std::vector<std::pair<uint32_t, size_t>> rows;
+    for (size_t i = 0; i < sample.rows.size(); ++i) {
+      rows.emplace_back(order[sample.rows[i]], i);
+    }
+    std::sort(rows.begin(), rows.end());
+    sample_.emplace();
+    for (const auto& [row, i] : rows) {
+      sample_->rows.push_back(row);
+      sample_->centroids.push_back(sample.centroids[i]);
+    }
     return absl::OkStatus();
   }
 
@@ -377,6 +436,25 @@ absl::Status CheckSpec(const QuerySpec& spec) {
         absl::StrCat("max_points is ", spec.max_points,
                      "; it must be 0 (no limit) or above"));
   }
+  if (spec.depth < 0 || spec.depth > core::kMaxDepth) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("depth is ", spec.depth, "; it must be 0 (all points) to ",
+                     core::kMaxDepth));
+  }
+  if (!(spec.spacing_m >= 0)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("spacing_m is ", spec.spacing_m,
+                     "; it must be 0 (all points) or above"));
+  }
+  if (spec.depth > 0 && spec.spacing_m > 0) {
+    return absl::InvalidArgumentError(
+        "depth, spacing_m: both choose a level of detail; leave one out");
+  }
+  if (spec.raw && (spec.depth > 0 || spec.spacing_m > 0)) {
+    return absl::InvalidArgumentError(
+        "depth, spacing_m: raw points have no levels of detail; leave them or "
+        "raw out");
+  }
   for (const Label label : spec.labels) {
     if (label != Label::kJunction && label != Label::kCurve &&
         label != Label::kSurface) {
@@ -455,6 +533,9 @@ absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(storage::Store& store,
                               ParseSpdfOptions(revision.product->options));
     filter.outliers.emplace(revision.product->max_confidence,
                             options.outlier_share);
+    filter.min_depth = spec.spacing_m > 0
+                           ? core::LevelOfSpacing(options, spec.spacing_m)
+                           : spec.depth;
   }
   MAPSIEVE_ASSIGN_OR_RETURN(AnswerColumns columns,
                             AnswerColumns::Make(spec, revision.attributes));
