@@ -8,6 +8,7 @@
 #include "core/base/bytes.h"
 #include "core/base/status.h"
 #include "core/codec/points_codec.h"
+#include "core/spdf/levels.h"
 #include "storage/names.h"
 #include "storage/tile_order.h"
 
@@ -132,6 +133,11 @@ absl::Status CheckChunk(const ChunkRef& chunk, int tile_level) {
       chunk.kind == ChunkKind::kProduct ? chunk.point_count : 0;
   MAPSIEVE_RETURN_IF_ERROR(
       CheckRange("sum of label_counts", labeled, expected, expected));
+  const int deepest = chunk.kind == ChunkKind::kProduct ? core::kMaxDepth : 0;
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckRange("max_depth", chunk.max_depth, 0, deepest));
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckRange("min_depth", chunk.min_depth, 0, chunk.max_depth));
   if (!Holds(chunk.tile.box(), chunk.bounds)) {
     return absl::InvalidArgumentError(
         "bounds are empty or not inside the tile");

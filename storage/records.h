@@ -152,6 +152,10 @@ struct ChunkRef {
   int64_t point_count = 0;
   /// Bytes of the blob.
   int64_t stored_bytes = 0;
+  /// Smallest and largest depth of the points (core/spdf/levels.h); zero but
+  /// in product chunks.
+  int min_depth = 0;
+  int max_depth = 0;
   /// Points of each label; zero in chunks that are no product.
   core::LabelCounts label_counts{};
   /// Tight half-open box of the points, inside the tile.

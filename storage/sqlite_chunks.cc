@@ -46,12 +46,17 @@ absl::StatusOr<core::CellKey> TakeTile(SqliteDatabase& database,
   return tile;
 }
 
-constexpr char kChunkColumns[] = "number, kind, blob_id, tile_key";
+constexpr char kChunkColumns[] =
+    "number, kind, min_depth, max_depth, blob_id, tile_key";
 
 absl::StatusOr<ChunkRef> TakeChunk(SqliteDatabase& database, const MapRow& map,
                                    SqliteStatement& row) {
   ChunkRef chunk;
-  row.TakeCount(chunk.number).Take(chunk.kind).Take(chunk.blob_id);
+  row.TakeCount(chunk.number)
+      .Take(chunk.kind)
+      .Take(chunk.min_depth)
+      .Take(chunk.max_depth)
+      .Take(chunk.blob_id);
   MAPSIEVE_ASSIGN_OR_RETURN(chunk.tile, TakeTile(database, row));
   VisitNumbers(chunk, [&](int64_t& field) { row.Take(field); });
   MAPSIEVE_RETURN_IF_ERROR(row.status());
@@ -171,14 +176,17 @@ class Change {
       MAPSIEVE_ASSIGN_OR_RETURN(
           SqliteStatement insert,
           database_.Prepare(absl::StrCat(
-              "INSERT INTO chunks (map_key, added_revision, kind, blob_id, "
+              "INSERT INTO chunks (map_key, added_revision, kind, min_depth, "
+              "max_depth, blob_id, "
               "tile_key, ",
               kNumberColumns,
-              ") VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, "
+              ") VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, "
               "?)")));
       insert.Bind(map_.key)
           .Bind(revision_)
           .Bind(chunk.kind)
+          .Bind(chunk.min_depth)
+          .Bind(chunk.max_depth)
           .Bind(chunk.blob_id)
           .BindBlob(TileOrderKey(chunk.tile));
       VisitNumbers(chunk, [&](int64_t field) { insert.Bind(field); });
@@ -398,9 +406,11 @@ absl::Status RestoreChunks(SqliteDatabase& database, const MapRow& map,
     MAPSIEVE_ASSIGN_OR_RETURN(
         SqliteStatement insert,
         database.Prepare(absl::StrCat(
-            "INSERT INTO chunks (map_key, added_revision, kind, blob_id, "
+            "INSERT INTO chunks (map_key, added_revision, kind, min_depth, "
+            "max_depth, blob_id, tile_key, ",
+            kNumberColumns,
+            ") SELECT map_key, ?3, kind, min_depth, max_depth, blob_id, "
             "tile_key, ",
-            kNumberColumns, ") SELECT map_key, ?3, kind, blob_id, tile_key, ",
             kNumberColumns,
             " FROM chunks WHERE map_key = ?1 AND added_revision <= ?2 AND "
             "removed_revision > ?2 AND removed_revision <= ?3 "

@@ -82,7 +82,9 @@ CREATE TABLE chunks (
   curve_count INTEGER NOT NULL,
   surface_count INTEGER NOT NULL,
   min_x INTEGER NOT NULL, min_y INTEGER NOT NULL, min_z INTEGER NOT NULL,
-  max_x INTEGER NOT NULL, max_y INTEGER NOT NULL, max_z INTEGER NOT NULL
+  max_x INTEGER NOT NULL, max_y INTEGER NOT NULL, max_z INTEGER NOT NULL,
+  min_depth INTEGER NOT NULL,
+  max_depth INTEGER NOT NULL
 ) STRICT;
 CREATE INDEX chunks_by_tile ON chunks (map_key, kind, tile_key, number);
 CREATE INDEX chunks_by_blob ON chunks (blob_id);

@@ -266,6 +266,8 @@ v1::QueryRegionRequest ToProto(const QuerySpec& spec) {
   for (const core::Label label : spec.labels) {
     request.add_labels(static_cast<v1::Label>(label));
   }
+  request.set_depth(spec.depth);
+  request.set_spacing_m(spec.spacing_m);
   request.set_max_point_count(spec.max_point_count);
   if (spec.columns.has_value()) {
     v1::ColumnSelection* columns = request.mutable_columns();

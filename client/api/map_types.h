@@ -227,6 +227,11 @@ struct QuerySpec {
   Region region;
   /// Empty: all.
   std::vector<core::Label> labels;
+  /// A level of detail, 0 (all points) to 10. Not with `raw`.
+  int depth = 0;
+  /// If above 0, the coarsest level of detail with at most this mean spacing
+  /// on surfaces, in map units. Not with `depth` or `raw`.
+  double spacing_m = 0;
   /// At most this many points, spread evenly over each label; 0: no limit.
   int64_t max_point_count = 0;
   /// Nothing: label, confidence, normal and all attributes.

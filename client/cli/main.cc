@@ -222,9 +222,21 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
       ->add_flag("--centroids", options->spec.centroids,
                  "With --max-points: centroids instead of points")
       ->needs(budget_option);
+  CLI::Option* depth_option = command->add_option(
+      "--depth", options->spec.depth,
+      "A level of detail: 0 all points, each further one to 10 with balls of "
+      "twice the radius");
+  depth_option->check(CLI::Range(0, 10));
+  CLI::Option* spacing_option = command->add_option(
+      "--spacing", options->spec.spacing_m,
+      "The coarsest level of detail whose points on surfaces have at most this "
+      "mean spacing, in map units: rho 2^level sqrt(pi / neighbors)");
+  spacing_option->check(CLI::PositiveNumber)->excludes(depth_option);
   command->add_flag("--raw", options->spec.raw, "The points as uploaded")
       ->excludes(label_option)
-      ->excludes(budget_option);
+      ->excludes(budget_option)
+      ->excludes(depth_option)
+      ->excludes(spacing_option);
   command->add_option("--revision", options->spec.revision,
                       "Default: the newest processed one");
   command->add_option("-o,--output", options->output, "LAS, PCD, PLY or CSV")

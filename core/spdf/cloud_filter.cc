@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <bit>
-#include <functional>
 #include <map>
 #include <string>
 #include <string_view>
@@ -11,54 +9,10 @@
 
 #include "core/base/status.h"
 #include "core/cloud/merge_duplicates.h"
+#include "core/spdf/memory_tiles.h"
 
 namespace mapsieve::core {
 namespace {
-
-/// A cloud is cut into at most so many tiles: what is copied tile by tile is
-/// then small beside the cloud.
-constexpr int64_t kMaxMemoryTiles = 1024;
-/// Eight such tiles around the origin, or along a border, are still one unit.
-constexpr int kMaxMemoryTileLevel = 28;
-
-/// The finest level, at most kMaxMemoryTileLevel, at which the points, in
-/// Morton order, lie in at most kMaxMemoryTiles cells.
-int ChooseTileLevel(std::span<const LatticePoint> positions,
-                    std::span<const uint32_t> rows, Executor& executor) {
-  // How many neighbours in the order part at each level.
-  using Counts = std::array<int64_t, kMaxCellLevel + 2>;
-  constexpr size_t kTaskRows = 1 << 16;
-  std::vector<Counts> counts(PartCount(rows.size(), kTaskRows));
-  ForEachPart(
-      executor, rows.size(), kTaskRows,
-      [&](size_t part, size_t begin, size_t end) {
-        for (size_t i = std::max(begin, size_t{1}); i < end; ++i) {
-          const LatticePoint& a = positions[rows[i - 1]];
-          const LatticePoint& b = positions[rows[i]];
-          const auto differing =
-              static_cast<uint64_t>((a.x ^ b.x) | (a.y ^ b.y) | (a.z ^ b.z));
-          const int level = 64 - std::countl_zero(differing);
-          ++counts[part]
-                  [static_cast<size_t>(std::min(level, kMaxCellLevel + 1))];
-        }
-      });
-  Counts parting{};
-  for (const Counts& part : counts) {
-    std::transform(part.begin(), part.end(), parting.begin(), parting.begin(),
-                   std::plus<>());
-  }
-  int64_t cells = 1;
-  int level = kMaxCellLevel;
-  for (; level > kMaxMemoryTileLevel; --level) {
-    cells += parting[static_cast<size_t>(level)];
-  }
-  while (level > 0 &&
-         cells + parting[static_cast<size_t>(level)] <= kMaxMemoryTiles) {
-    cells += parting[static_cast<size_t>(level)];
-    --level;
-  }
-  return level;
-}
 
 /// Distinct points of a cloud as tiles that are one unit.
 class MemoryTileStore final : public TileStore {
@@ -69,17 +23,14 @@ class MemoryTileStore final : public TileStore {
     // Untouched room costs nothing, growing would copy.
     ReserveBulk(result_.rows, rows_.size());
     result_.columns.Reserve(rows_.size());
-    const int level = ChooseTileLevel(cloud.positions, rows_, executor);
-    for (auto begin = rows_.begin(); begin != rows_.end();) {
-      const CellKey key = CellKey::Of(cloud.positions[*begin], level);
-      const auto end =
-          std::partition_point(begin, rows_.end(), [&](uint32_t row) {
-            return CellKey::Of(cloud.positions[row], level) == key;
-          });
-      tiles_.push_back({key, end - begin});
-      parts_[key] = {static_cast<size_t>(begin - rows_.begin()),
-                     static_cast<size_t>(end - rows_.begin())};
-      begin = end;
+    for (const MemoryTile& tile : MakeMemoryTiles(
+             rows_.size(),
+             [&](size_t i) -> const LatticePoint& {
+               return cloud.positions[rows_[i]];
+             },
+             executor)) {
+      tiles_.push_back({tile.key, static_cast<int64_t>(tile.end - tile.begin)});
+      parts_[tile.key] = {tile.begin, tile.end};
     }
   }
 

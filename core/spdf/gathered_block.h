@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_CORE_SPDF_GATHERED_BLOCK_H_
 #define MAPSIEVE_CORE_SPDF_GATHERED_BLOCK_H_
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <span>
@@ -8,11 +9,34 @@
 
 #include "core/spdf/kernels.h"
 #include "core/spdf/point_index.h"
+#include "core/spdf/spdf_options.h"
 
 namespace mapsieve::core {
 
 /// A radius without a bound.
 inline constexpr int64_t kUnbounded = int64_t{1} << 40;
+
+/// Longest edge of a box whose points are to share a block that reaches
+/// `radius` steps beyond it: wide enough to be shared, with coordinates that
+/// fit.
+inline int64_t GroupExtent(int64_t radius) {
+  return std::min<int64_t>(2 * radius, kMaxRadiusSteps);
+}
+
+/// Calls use(box, points) for `points`, or for halves of halves of them until
+/// each part's box is at most `extent` wide.
+template <typename Use>
+void SplitWide(const PointIndex& index, std::span<const uint32_t> points,
+               int64_t extent, const Use& use) {
+  const IndexBox box = index.BoxOf(points);
+  if (points.size() == 1 || box.Extent() <= extent) {
+    use(box, points);
+    return;
+  }
+  const size_t half = points.size() / 2;
+  SplitWide(index, points.first(half), extent, use);
+  SplitWide(index, points.subspan(half), extent, use);
+}
 
 /// Candidates copied out of an index around a box of query points, relative to
 /// its centre. Reused from one box to the next. Not thread-safe.

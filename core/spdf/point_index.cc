@@ -82,6 +82,12 @@ IndexBox PointIndex::BoxOf(uint32_t begin, uint32_t end) const {
   return box;
 }
 
+IndexBox PointIndex::BoxOf(std::span<const uint32_t> points) const {
+  IndexBox box = PointBox(points[0]);
+  for (const uint32_t i : points.subspan(1)) box.Extend(PointBox(i));
+  return box;
+}
+
 void PointIndex::AppendTree(uint32_t begin, uint32_t end,
                             std::vector<Node>& nodes) const {
   const size_t n = nodes.size();

@@ -54,7 +54,7 @@ class PointIndex {
   };
 
   /// Coordinates are at most so far from the origin.
-  static constexpr int32_t kMaxCoordinate = 1 << 29;
+  static constexpr int32_t kMaxCoordinate = (1 << 29) + (1 << 24);
 
   explicit PointIndex(const LatticePoint& origin) : origin_(origin) {}
 
@@ -99,6 +99,8 @@ class PointIndex {
   IndexBox PointBox(uint32_t i) const {
     return {{x_[i], y_[i], z_[i]}, {x_[i], y_[i], z_[i]}};
   }
+  /// The tight box of some points, at least one.
+  IndexBox BoxOf(std::span<const uint32_t> points) const;
   /// Coordinates of all points, padded for kernels.
   GatherSource source() const { return {x_.data(), y_.data(), z_.data()}; }
 

@@ -78,6 +78,10 @@ absl::Status SpdfOptions::Validate(const Lattice& lattice) const {
                      lattice);
 }
 
+int64_t RadiusD2(double radius_m, const Lattice& lattice) {
+  return static_cast<int64_t>(RadiusInSteps2(radius_m * radius_m, lattice));
+}
+
 double ExpectedStrength(int dimension, double vote_scale_m2,
                         double density_radius_m) {
   const double sigma = vote_scale_m2;
@@ -101,8 +105,8 @@ SpdfConstants MakeSpdfConstants(const SpdfOptions& options,
   constants.neighbor_count = options.neighbor_count;
   constants.reach_d2 =
       static_cast<int32_t>(RadiusInSteps2(ReachSquared(options), lattice));
-  constants.density_d2 = static_cast<int32_t>(RadiusInSteps2(
-      options.density_radius_m * options.density_radius_m, lattice));
+  constants.density_d2 =
+      static_cast<int32_t>(RadiusD2(options.density_radius_m, lattice));
   const auto root = [](int32_t d2) {
     return static_cast<int32_t>(std::sqrt(static_cast<double>(d2))) + 1;
   };

@@ -79,6 +79,10 @@ struct SpdfConstants {
 SpdfConstants MakeSpdfConstants(const SpdfOptions& options,
                                 const Lattice& lattice);
 
+/// Largest squared distance, in steps², of two points within `radius_m` of each
+/// other (up to 2^26 steps).
+int64_t RadiusD2(double radius_m, const Lattice& lattice);
+
 /// Expected kernel strength of a point whose neighbours are uniform in a
 /// `dimension`-ball (1 to 3) of radius density_radius_m, closed form
 /// (Labussière et al. 2020, with the curve's factor corrected to 1/2).

@@ -81,7 +81,8 @@ class LockStepFilter {
       // The unit kept in memory serves the votes too, whose halo is wider.
       MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit * loaded,
                                 Visit(unit, constants_.density_steps));
-      MAPSIEVE_RETURN_IF_ERROR(loaded->work->RunQuota(context_));
+      MAPSIEVE_RETURN_IF_ERROR(
+          loaded->work->RunQuota(constants_.density_d2, context_));
       MAPSIEVE_RETURN_IF_ERROR(
           StoreStates(*loaded, TileStateKind::kDeaths, loaded->work->deaths()));
       CountVisit(unit);

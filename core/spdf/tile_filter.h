@@ -41,12 +41,10 @@ struct TileResult {
   LabelSpans columns;
 };
 
-/// Where the filter finds the tiles of a map and puts what it makes of them.
-/// LoadPoints and LoadState are called from several threads at once, the others
-/// from one.
-class TileStore {
+/// Where the points of tiles come from.
+class PointTiles {
  public:
-  virtual ~TileStore() = default;
+  virtual ~PointTiles() = default;
 
   /// Every tile that holds points; all of one level, in Morton order.
   virtual std::vector<TileInfo> Tiles() const = 0;
@@ -54,9 +52,16 @@ class TileStore {
   /// Writes the distinct points of a tile in Morton order, the same at each
   /// call, to `room`, which is as large as the tile's point_count. Returns how
   /// many they are.
+  /// Called from several threads at once.
   virtual absl::StatusOr<int64_t> LoadPoints(const CellKey& key,
                                              std::span<LatticePoint> room) = 0;
+};
 
+/// Where the filter finds the tiles of a map and puts what it makes of them.
+/// LoadPoints and LoadState are called from several threads at once, the others
+/// from one.
+class TileStore : public PointTiles {
+ public:
   /// Keeps bytes of the filter for a tile until the next StoreState of the
   /// same kind or the end of the run.
   virtual absl::Status StoreState(const CellKey& key, TileStateKind kind,

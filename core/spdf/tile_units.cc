@@ -5,8 +5,9 @@
 namespace mapsieve::core {
 namespace {
 
-/// Coordinates of a unit are int32 relative to its first tile's corner.
-constexpr int64_t kMaxUnitExtent = PointIndex::kMaxCoordinate;
+/// Coordinates of a unit are relative to its first tile's corner; the rest of
+/// PointIndex::kMaxCoordinate is for the halo.
+constexpr int64_t kMaxUnitExtent = int64_t{1} << 29;
 
 /// Points of tiles that are loaded, or answered for, at a time.
 constexpr int64_t kBatchPointsPerWorker = 1 << 16;
@@ -19,26 +20,26 @@ bool IsTooWide(const LatticeBox& box) {
 
 }  // namespace
 
-TileUnits::TileUnits(TileStore& store, const SpdfOptions& options,
-                     const SpdfConstants& constants,
-                     const ExecutionContext& context)
-    : store_(store),
+PointUnits::PointUnits(PointTiles& source, const SpdfOptions& options,
+                       const SpdfConstants& constants,
+                       const ExecutionContext& context)
+    : context_(context),
+      tiles_(source.Tiles()),
+      source_(source),
       options_(options),
-      constants_(constants),
-      context_(context),
-      tiles_(store.Tiles()) {
+      constants_(constants) {
   for (size_t t = 0; t < tiles_.size(); ++t) {
     tile_numbers_.emplace(tiles_[t].key, t);
   }
 }
 
-std::optional<size_t> TileUnits::Find(const CellKey& key) const {
+std::optional<size_t> PointUnits::Find(const CellKey& key) const {
   const auto found = tile_numbers_.find(key);
   if (found == tile_numbers_.end()) return std::nullopt;
   return found->second;
 }
 
-std::vector<size_t> TileUnits::TilesIn(const LatticeBox& box) const {
+std::vector<size_t> PointUnits::TilesIn(const LatticeBox& box) const {
   std::vector<size_t> found;
   if (tiles_.empty()) return found;
   const int level = tiles_[0].key.level;
@@ -66,8 +67,8 @@ std::vector<size_t> TileUnits::TilesIn(const LatticeBox& box) const {
   return found;
 }
 
-std::vector<TileUnits::Unit> TileUnits::Group(std::span<const size_t> wanted,
-                                              int64_t max_unit_points) const {
+std::vector<PointUnits::Unit> PointUnits::Group(std::span<const size_t> wanted,
+                                                int64_t max_unit_points) const {
   std::vector<Unit> units;
   int64_t points = 0;
   LatticeBox box;
@@ -87,7 +88,7 @@ std::vector<TileUnits::Unit> TileUnits::Group(std::span<const size_t> wanted,
   return units;
 }
 
-std::unordered_map<size_t, std::vector<size_t>> TileUnits::HaloTiles(
+std::unordered_map<size_t, std::vector<size_t>> PointUnits::HaloTiles(
     const Unit& unit, int64_t margin) const {
   HaloOf halo;
   if (unit.size() == tiles_.size()) return halo;
@@ -101,7 +102,7 @@ std::unordered_map<size_t, std::vector<size_t>> TileUnits::HaloTiles(
   return halo;
 }
 
-absl::StatusOr<LoadedUnit> TileUnits::Load(const Unit& unit, int64_t margin) {
+absl::StatusOr<LoadedUnit> PointUnits::Load(const Unit& unit, int64_t margin) {
   LoadedUnit loaded;
   const HaloOf halo = HaloTiles(unit, margin);
   std::vector<size_t> wanted = unit;
@@ -126,20 +127,21 @@ absl::StatusOr<LoadedUnit> TileUnits::Load(const Unit& unit, int64_t margin) {
   return loaded;
 }
 
-absl::StatusOr<std::span<const LatticePoint>> TileUnits::LoadPoints(
+absl::StatusOr<std::span<const LatticePoint>> PointUnits::LoadPoints(
     size_t tile) {
   const auto room = static_cast<size_t>(tiles_[tile].point_count);
   batch_points_.resize(std::max(batch_points_.size(), room));
   const std::span<LatticePoint> points = std::span(batch_points_).first(room);
   MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
-                            store_.LoadPoints(tiles_[tile].key, points));
+                            source_.LoadPoints(tiles_[tile].key, points));
   return points.first(static_cast<size_t>(size));
 }
 
 /// Appends the points of `batch` to `work`; of a halo tile, those within
 /// `margin` steps of the core tiles that `halo` names.
-absl::Status TileUnits::LoadBatch(const HaloOf& halo, int64_t margin,
-                                  std::span<LoadedTile> batch, WorkUnit& work) {
+absl::Status PointUnits::LoadBatch(const HaloOf& halo, int64_t margin,
+                                   std::span<LoadedTile> batch,
+                                   WorkUnit& work) {
   size_t room = 0;
   std::vector<size_t> begins;
   for (const LoadedTile& tile : batch) {
@@ -158,7 +160,7 @@ absl::Status TileUnits::LoadBatch(const HaloOf& halo, int64_t margin,
                         .subspan(begins[b], begins[b + 1] - begins[b]);
         MAPSIEVE_ASSIGN_OR_RETURN(
             const int64_t size,
-            store_.LoadPoints(tiles_[tile.tile].key, points[b]));
+            source_.LoadPoints(tiles_[tile.tile].key, points[b]));
         points[b] = points[b].first(static_cast<size_t>(size));
         if (!tile.is_core) {
           tile.rows = KeepNear(halo.at(tile.tile), margin, points[b]);
@@ -179,7 +181,7 @@ absl::Status TileUnits::LoadBatch(const HaloOf& halo, int64_t margin,
 
 /// Leaves in `points`, those of a halo tile, the ones within `margin` steps of
 /// any of the tiles `core`, and returns their rows.
-std::vector<uint32_t> TileUnits::KeepNear(
+std::vector<uint32_t> PointUnits::KeepNear(
     const std::vector<size_t>& core, int64_t margin,
     std::span<LatticePoint>& points) const {
   std::vector<uint32_t> rows;
@@ -196,11 +198,9 @@ std::vector<uint32_t> TileUnits::KeepNear(
   return rows;
 }
 
-/// Calls use(batch) for adjacent `tiles`: enough to keep every worker busy, few
-/// enough for copies of their points to be small beside a unit.
 template <typename Use>
-absl::Status TileUnits::ForEachBatch(std::span<LoadedTile> tiles,
-                                     const Use& use) const {
+absl::Status PointUnits::ForEachBatch(std::span<LoadedTile> tiles,
+                                      const Use& use) const {
   const int64_t batch_points =
       kBatchPointsPerWorker * context_.executor->worker_count();
   size_t begin = 0;

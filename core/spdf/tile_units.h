@@ -41,16 +41,15 @@ struct LoadedUnit {
   std::unique_ptr<WorkUnit> work;
 };
 
-/// Forms units of a store's tiles, loads them with a halo, and moves what the
-/// filter keeps of them between the store and a WorkUnit. Used by one thread;
-/// tiles are loaded on the context's executor. The references outlive it.
-class TileUnits {
+/// Forms units of tiles and loads them with a halo. Used by one thread; tiles
+/// are loaded on the context's executor. The references outlive it.
+class PointUnits {
  public:
   /// Numbers of tiles, ascending.
   using Unit = std::vector<size_t>;
 
-  TileUnits(TileStore& store, const SpdfOptions& options,
-            const SpdfConstants& constants, const ExecutionContext& context);
+  PointUnits(PointTiles& source, const SpdfOptions& options,
+             const SpdfConstants& constants, const ExecutionContext& context);
 
   const std::vector<TileInfo>& tiles() const { return tiles_; }
   std::optional<size_t> Find(const CellKey& key) const;
@@ -73,6 +72,40 @@ class TileUnits {
   /// The points of a tile; valid until the next call.
   absl::StatusOr<std::span<const LatticePoint>> LoadPoints(size_t tile);
 
+ protected:
+  /// Calls use(batch) for adjacent `tiles`: enough to keep every worker busy,
+  /// few enough for copies of their points to be small beside a unit.
+  template <typename Use>
+  absl::Status ForEachBatch(std::span<LoadedTile> tiles, const Use& use) const;
+
+  const ExecutionContext& context_;
+  const std::vector<TileInfo> tiles_;
+  /// Of a batch of tiles; kept from batch to batch, since fresh memory is dear.
+  BulkVector<LatticePoint> batch_points_;
+
+ private:
+  using HaloOf = std::unordered_map<size_t, std::vector<size_t>>;
+
+  absl::Status LoadBatch(const HaloOf& halo, int64_t margin,
+                         std::span<LoadedTile> batch, WorkUnit& work);
+  std::vector<uint32_t> KeepNear(const std::vector<size_t>& core,
+                                 int64_t margin,
+                                 std::span<LatticePoint>& points) const;
+
+  PointTiles& source_;
+  const SpdfOptions& options_;
+  const SpdfConstants& constants_;
+  std::unordered_map<CellKey, size_t, CellKeyHash> tile_numbers_;
+};
+
+/// PointUnits of the filter's store, which also moves what the filter keeps of
+/// tiles between the store and a WorkUnit.
+class TileUnits : public PointUnits {
+ public:
+  TileUnits(TileStore& store, const SpdfOptions& options,
+            const SpdfConstants& constants, const ExecutionContext& context)
+      : PointUnits(store, options, constants, context), store_(store) {}
+
   /// Fills `states`, one entry a point of the unit: of core tiles, and of the
   /// halo if asked for.
   template <typename T>
@@ -93,30 +126,14 @@ class TileUnits {
                     SpdfSummary& summary);
 
  private:
-  using HaloOf = std::unordered_map<size_t, std::vector<size_t>>;
-
-  absl::Status LoadBatch(const HaloOf& halo, int64_t margin,
-                         std::span<LoadedTile> batch, WorkUnit& work);
-  std::vector<uint32_t> KeepNear(const std::vector<size_t>& core,
-                                 int64_t margin,
-                                 std::span<LatticePoint>& points) const;
   absl::Status EmitBatch(WorkUnit& unit, std::span<const LoadedTile> tiles,
                          const WorkUnit::Labeled& labeled,
                          SpdfSummary& summary);
-  template <typename Use>
-  absl::Status ForEachBatch(std::span<LoadedTile> tiles, const Use& use) const;
   template <typename T>
   absl::Status LoadTileStates(const LoadedTile& tile, TileStateKind kind,
                               BulkVector<T>& states);
 
   TileStore& store_;
-  const SpdfOptions& options_;
-  const SpdfConstants& constants_;
-  const ExecutionContext& context_;
-  const std::vector<TileInfo> tiles_;
-  std::unordered_map<CellKey, size_t, CellKeyHash> tile_numbers_;
-  /// Of a batch of tiles; kept from batch to batch, since fresh memory is dear.
-  BulkVector<LatticePoint> batch_points_;
   BulkVector<uint32_t> batch_rows_;
 };
 

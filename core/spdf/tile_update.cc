@@ -99,7 +99,7 @@ class TileUpdate {
       }
     }
     if (IsQuota()) {
-      MAPSIEVE_RETURN_IF_ERROR(work.RunQuota(context_));
+      MAPSIEVE_RETURN_IF_ERROR(work.RunQuota(constants_.density_d2, context_));
       summary_.emitted.round_count = 1;
     } else {
       MAPSIEVE_RETURN_IF_ERROR(RunRounds(last_around, work));

@@ -12,6 +12,7 @@
 #include "core/geometry/octahedral.h"
 #include "core/geometry/vector3.h"
 #include "core/spdf/integer_root.h"
+#include "core/spdf/quota.h"
 #include "core/spdf/strength_tests.h"
 
 namespace mapsieve::core {
@@ -23,6 +24,8 @@ constexpr uint32_t kTaskPoints = 2048;
 /// Nearby points that are evaluated together. They share one gathered block:
 /// many make it cheap, few keep it small.
 constexpr uint32_t kGroupPoints = 32;
+/// The same where they are only counted, so that a larger block costs little.
+constexpr uint32_t kQuotaGroupPoints = 64;
 /// Wanted points that lie among so many others are still nearby.
 constexpr uint32_t kGroupSpread = 128;
 
@@ -39,31 +42,6 @@ int32_t EarlyRadius(const SpdfConstants& constants) {
 
 double ToStrength(int32_t sum, int neighbor_count) {
   return static_cast<double>(sum) / (neighbor_count * 0x1p24);
-}
-
-IndexBox BoxOf(const PointIndex& index, std::span<const uint32_t> points) {
-  IndexBox box = index.PointBox(points[0]);
-  for (const uint32_t i : points.subspan(1)) box.Extend(index.PointBox(i));
-  return box;
-}
-
-/// Calls use(box, points) for `points`, or for halves of halves of them until
-/// each part's box is at most `extent` wide.
-template <typename Use>
-void SplitWide(const PointIndex& index, std::span<const uint32_t> points,
-               int64_t extent, const Use& use) {
-  const IndexBox box = BoxOf(index, points);
-  if (points.size() == 1 || box.Extent() <= extent) {
-    use(box, points);
-    return;
-  }
-  const size_t half = points.size() / 2;
-  SplitWide(index, points.first(half), extent, use);
-  SplitWide(index, points.subspan(half), extent, use);
-}
-
-int64_t GroupExtent(int64_t radius) {
-  return std::min<int64_t>(2 * radius, kMaxRadiusSteps);
 }
 
 /// Longest distance of two points of a box.
@@ -138,6 +116,7 @@ void WorkUnit::RemoveDead(int round) {
 
 template <typename IsWanted, typename MakeVisitor>
 absl::Status WorkUnit::ForEachGroup(const ExecutionContext& context,
+                                    uint32_t group_points,
                                     const IsWanted& is_wanted,
                                     const MakeVisitor& make_visitor) const {
   using Node = PointIndex::Node;
@@ -182,7 +161,7 @@ absl::Status WorkUnit::ForEachGroup(const ExecutionContext& context,
               }
             }
             if (wanted.empty()) return;
-            if (node.is_leaf() || wanted.size() <= kGroupPoints) {
+            if (node.is_leaf() || wanted.size() <= group_points) {
               visitor(bound, std::span<const uint32_t>(wanted));
               return;
             }
@@ -376,7 +355,7 @@ absl::StatusOr<WorkUnit::RoundCounts> WorkUnit::RunPaperRound(
   std::atomic<int64_t> died = 0;
   std::atomic<int64_t> flagged = 0;
   MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
-      context,
+      context, kGroupPoints,
       [&](uint32_t number) {
         return round == 1 || round_states_[number].radius_d2 > 0;
       },
@@ -384,99 +363,23 @@ absl::StatusOr<WorkUnit::RoundCounts> WorkUnit::RunPaperRound(
   return RoundCounts{died.load(), flagged.load()};
 }
 
-class WorkUnit::QuotaVisitor {
- public:
-  /// `upper`: the upper half of every index point's priority, in the order of
-  /// signed integers.
-  QuotaVisitor(WorkUnit& unit, std::span<const int32_t> upper)
-      : unit_(unit), upper_(upper), block_(unit.index_) {}
-
-  void operator()(int64_t, std::span<const uint32_t> points) {
-    const int64_t radius = CeilRoot(unit_.constants_.density_d2);
-    SplitWide(unit_.index_, points, GroupExtent(radius),
-              [&](const IndexBox& box, std::span<const uint32_t> part) {
-                block_.Gather(box, radius);
-                // Fewer than k others, and all may stay.
-                const auto k =
-                    static_cast<size_t>(unit_.constants_.neighbor_count);
-                if (block_.ids().size() > k) Decide(part);
-              });
-  }
-
- private:
-  void Decide(std::span<const uint32_t> points) {
-    const int k = unit_.constants_.neighbor_count;
-    const std::span<const int32_t> ids = block_.ids();
-    near_.assign(ids.size() + kKernelPadding, 0);
-    for (size_t c = 0; c < ids.size(); ++c) {
-      near_[c] = upper_[static_cast<size_t>(ids[c])];
-    }
-    for (const uint32_t i : points) {
-      const auto [x, y, z] = block_.Relative(i);
-      const int better = ActiveKernels().count_better(
-          block_.block(), near_.data(), x, y, z, unit_.constants_.density_d2,
-          upper_[i], k);
-      if (better >= k || (HasTwin(i) && CountBetter(i) >= k)) {
-        unit_.deaths_[unit_.index_.numbers()[i]] = 1;
-      }
-    }
-  }
-
-  /// Whether another point of the block has the same upper half.
-  bool HasTwin(uint32_t i) const {
-    return std::count(near_.begin(), near_.end() - kKernelPadding, upper_[i]) >
-           1;
-  }
-
-  /// Points within the density radius of index point `i` that are better than
-  /// it, by the whole priority, ties by coordinate.
-  int CountBetter(uint32_t i) const {
-    const PointIndex& index = unit_.index_;
-    const auto rank = [&](uint32_t point) {
-      return std::pair(unit_.Priority(point), index.Position(point));
-    };
-    const auto [x, y, z] = block_.Relative(i);
-    int better = 0;
-    for (const int32_t id : block_.ids()) {
-      const auto other = static_cast<uint32_t>(id);
-      const auto [ox, oy, oz] = block_.Relative(other);
-      const int32_t dx = ox - x;
-      const int32_t dy = oy - y;
-      const int32_t dz = oz - z;
-      if (dx * dx + dy * dy + dz * dz <= unit_.constants_.density_d2 &&
-          rank(other) < rank(i)) {
-        ++better;
-      }
-    }
-    return better;
-  }
-
-  WorkUnit& unit_;
-  const std::span<const int32_t> upper_;
-  GatheredBlock block_;
-  /// Of the block's candidates.
-  std::vector<int32_t> near_;
-};
-
-uint64_t WorkUnit::Priority(uint32_t i) const {
-  const LatticePoint q = index_.Position(i);
-  const int64_t key[4] = {q.x, q.y, q.z, options_.seed};
-  return HashIntegers(key);
-}
-
-absl::Status WorkUnit::RunQuota(const ExecutionContext& context) {
+absl::Status WorkUnit::RunQuota(int64_t radius_d2,
+                                const ExecutionContext& context) {
   IndexSurvivors(0, context);
-  BulkVector<int32_t> upper(index_.size());
-  ForEachPart(*context.executor, upper.size(), 8192,
-              [&](size_t, size_t begin, size_t end) {
-                for (size_t i = begin; i < end; ++i) {
-                  upper[i] = static_cast<int32_t>(
-                      Priority(static_cast<uint32_t>(i)) >> 32 ^ 0x80000000u);
-                }
-              });
+  const QuotaRule rule = {.neighbor_count = constants_.neighbor_count,
+                          .radius_d2 = radius_d2,
+                          .seed = options_.seed};
+  const QuotaPriorities priorities(index_, rule.seed, *context.executor);
   return ForEachGroup(
-      context, [](uint32_t) { return true; },
-      [&] { return QuotaVisitor(*this, upper); });
+      context, kQuotaGroupPoints, [](uint32_t) { return true; },
+      [&] {
+        return [this, counter = QuotaCounter(priorities, rule)](
+                   int64_t, std::span<const uint32_t> points) mutable {
+          for (const uint32_t i : counter.FindCrowded(points)) {
+            deaths_[index_.numbers()[i]] = 1;
+          }
+        };
+      });
 }
 
 class WorkUnit::VoterVisitor {
@@ -535,7 +438,7 @@ absl::Status WorkUnit::ComputeVoters(const ExecutionContext& context) {
   IndexSurvivors(kAlive - 1, context);
   voters_.resize(size());
   return ForEachGroup(
-      context, [](uint32_t) { return true; },
+      context, kGroupPoints, [](uint32_t) { return true; },
       [&] { return VoterVisitor(*this); });
 }
 
@@ -665,7 +568,7 @@ absl::StatusOr<WorkUnit::Labeled> WorkUnit::CastAwareVotes(
   Labeled result{.points = index_.numbers()};
   result.columns.Resize(index_.size());
   MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
-      context, [](uint32_t) { return true; },
+      context, kGroupPoints, [](uint32_t) { return true; },
       [&] { return LabelVisitor(*this, result.columns); }));
   voters_ = BulkVector<VoterState>();
   return result;

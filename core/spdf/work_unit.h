@@ -85,9 +85,10 @@ class WorkUnit {
   absl::StatusOr<RoundCounts> RunPaperRound(int round,
                                             const ExecutionContext& context);
 
-  /// Rule kQuota: core points that too many better points surround get death
-  /// 1. The halo is the density radius.
-  absl::Status RunQuota(const ExecutionContext& context);
+  /// Rule kQuota with any radius: core points that too many better points
+  /// within `radius_d2` steps², up to 2^52, surround get death 1. The halo is
+  /// that radius.
+  absl::Status RunQuota(int64_t radius_d2, const ExecutionContext& context);
 
   /// Ball votes of the surviving core points; halo: one reach.
   absl::Status ComputeVoters(const ExecutionContext& context);
@@ -103,7 +104,8 @@ class WorkUnit {
     LabelColumns columns;
   };
   absl::StatusOr<Labeled> CastAwareVotes(const ExecutionContext& context);
-  /// Position of the i-th survivor.
+  /// Position of the i-th of the points that were alive when the last step
+  /// began.
   LatticePoint SurvivorPosition(size_t i) const {
     return index_.Position(static_cast<uint32_t>(i));
   }
@@ -116,12 +118,12 @@ class WorkUnit {
   void RemoveDead(int round);
 
   /// Calls make_visitor() in each of many tasks, and what it returns for
-  /// groups of nearby wanted core points: visitor(bound, index points). Each
-  /// point of a group has the wanted number of neighbours within `bound` steps,
-  /// if that is not kUnbounded. `is_wanted(number)`.
+  /// groups of up to `group_points` nearby wanted core points: visitor(bound,
+  /// index points). Each point of a group has the wanted number of neighbours
+  /// within `bound` steps, if that is not kUnbounded. `is_wanted(number)`.
   template <typename IsWanted, typename MakeVisitor>
   absl::Status ForEachGroup(const ExecutionContext& context,
-                            const IsWanted& is_wanted,
+                            uint32_t group_points, const IsWanted& is_wanted,
                             const MakeVisitor& make_visitor) const;
 
   /// Calls use(index point, sums) with the ball votes of some points from
@@ -130,11 +132,7 @@ class WorkUnit {
   void CastBallVotes(GatheredBlock& block, int64_t bound, int32_t limit_d2,
                      std::span<const uint32_t> points, const Use& use) const;
 
-  /// Of an index point, by rule kQuota: the smaller, the better.
-  uint64_t Priority(uint32_t i) const;
-
   class RoundVisitor;
-  class QuotaVisitor;
   class VoterVisitor;
   class LabelVisitor;
 

@@ -25,10 +25,6 @@ constexpr std::array<std::string_view, 3> kTangentNames = {"tx", "ty", "tz"};
 constexpr std::array<std::string_view, 3> kLambdaNames = {"lambda1", "lambda2",
                                                           "lambda3"};
 
-/// Memory of a stored point without its attributes: position, label,
-/// confidence, eigenvalues, normal and tangent.
-constexpr int64_t kProductPointBytes = 24 + 1 + 2 + 3 * 4 + 4 + 4;
-
 /// What a block needs at most besides values: position columns, fixed fields
 /// and an entry for each column without its name.
 constexpr int64_t kBlockHeadBytes = 512;
@@ -203,11 +199,7 @@ absl::StatusOr<core::ColumnSet> AnswerColumns::Build(
 }
 
 int64_t AnswerColumns::stored_point_bytes() const {
-  int64_t bytes = kProductPointBytes;
-  for (const ColumnSpec& spec : specs_) {
-    bytes += static_cast<int64_t>(core::ScalarSize(spec.type)) + 1;
-  }
-  return bytes;
+  return ProductPointBytes(specs_);
 }
 
 size_t AnswerColumns::PointsPerBlock(int64_t max_bytes) const {

@@ -94,6 +94,11 @@ absl::StatusOr<ChunkRef> ChunkWriter::WriteChunk(
                     .bounds = TightBox(points.positions)};
   if (kind_ == storage::ChunkKind::kProduct) {
     MAPSIEVE_ASSIGN_OR_RETURN(chunk.label_counts, CountLabels(points));
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
+                              DepthsOf(points));
+    const auto [min, max] = std::minmax_element(depths.begin(), depths.end());
+    chunk.min_depth = *min;
+    chunk.max_depth = *max;
   }
   MAPSIEVE_ASSIGN_OR_RETURN(chunk.blob_id, blobs_->Put(block));
   return chunk;

@@ -36,7 +36,7 @@ class ChunkWriter {
 
   /// Puts the points of each cloud in Morton order, those of one place in the
   /// order given, and stores them. All are durable when it returns. Product
-  /// clouds are those of MakeProductCloud. Errors of storage; kCancelled.
+  /// clouds are those of SplitByDepth. Errors of storage; kCancelled.
   absl::Status Write(std::vector<TileCloud> clouds,
                      const std::stop_token& stop);
 

@@ -11,12 +11,14 @@
 #include <vector>
 
 #include "core/base/status.h"
+#include "core/spdf/levels.h"
 #include "core/spdf/tile_filter.h"
 #include "core/spdf/tile_update.h"
 #include "server/engine/chunk_reader.h"
 #include "server/engine/map_changes.h"
 #include "server/engine/opaque_records.h"
 #include "server/engine/product_chunk.h"
+#include "server/engine/product_levels.h"
 #include "server/engine/stored_tiles.h"
 
 namespace mapsieve::engine {
@@ -189,7 +191,10 @@ class MapRun {
         }));
     MAPSIEVE_RETURN_IF_ERROR(ForEachChunk(
         snapshot_, ChunkKind::kProduct, [&](const ChunkRef& chunk) {
-          if (!replaced.contains(chunk.tile)) return absl::OkStatus();
+          if (!replaced.contains(chunk.tile)) {
+            levels_->Keep(chunk);
+            return absl::OkStatus();
+          }
           change.removed.push_back(chunk.number);
           totals.survivor_count -= chunk.point_count;
           return CountConfidences(snapshot_, chunk, gone);
@@ -201,15 +206,20 @@ class MapRun {
  private:
   absl::Status OpenTiles(const Previous* previous) {
     MAPSIEVE_ASSIGN_OR_RETURN(scratch_, store_.NewScratch());
+    levels_ = std::make_unique<ProductLevels>(
+        store_, snapshot_, *scratch_,
+        ProductLevels::Options{.max_pending_bytes = limits_.pending_bytes,
+                               .max_chunk_bytes = limits_.chunk_bytes,
+                               .io = &io_,
+                               .stop = context_.stop});
     MAPSIEVE_ASSIGN_OR_RETURN(
         tiles_, StoredTiles::Open(
                     store_, snapshot_,
                     previous == nullptr ? nullptr : previous->snapshot.get(),
                     previous == nullptr ? std::span<const core::TileChange>()
                                         : std::span(previous->changes),
-                    *scratch_,
+                    *scratch_, *levels_,
                     {.max_pending_bytes = limits_.pending_bytes,
-                     .max_chunk_bytes = limits_.chunk_bytes,
                      .io = &io_,
                      .stop = context_.stop}));
     return CheckTiles();
@@ -270,6 +280,13 @@ class MapRun {
 
   absl::StatusOr<ProcessReport> Commit(const ProductTotals& totals,
                                        storage::RevisionChange change) {
+    // The work reported is the filter's.
+    MAPSIEVE_RETURN_IF_ERROR(
+        core::ComputeDepths(
+            *levels_, lattice_, options_, tiling_,
+            {.executor = context_.executor, .stop = context_.stop})
+            .status());
+    MAPSIEVE_RETURN_IF_ERROR(levels_->Flush());
     MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
     const storage::RevisionRecord& base = snapshot_.revision();
     ProcessReport report = {
@@ -289,7 +306,11 @@ class MapRun {
                        .distinct_point_count = totals.distinct_point_count,
                        .kept_counts = totals.kept,
                        .max_confidence = totals.max_confidence}};
-    change.added = tiles_->chunks();
+    change.added = levels_->chunks();
+    change.added.insert(change.added.end(), tiles_->chunks().begin(),
+                        tiles_->chunks().end());
+    change.removed.insert(change.removed.end(), levels_->replaced().begin(),
+                          levels_->replaced().end());
     MAPSIEVE_RETURN_IF_ERROR(
         store_.catalogue()
             .CommitRevision(snapshot_.map().uid, base.number, change)
@@ -306,6 +327,7 @@ class MapRun {
   const core::Lattice lattice_;
   const core::TilingOptions tiling_;
   std::unique_ptr<storage::Scratch> scratch_;
+  std::unique_ptr<ProductLevels> levels_;
   std::unique_ptr<StoredTiles> tiles_;
 };
 

@@ -49,6 +49,55 @@ LatticeCloud MakeProductCloud(LatticeCloud points, const LabelSpans& labels) {
   return points;
 }
 
+std::array<LatticeCloud, kDepthGroups.size()> SplitByDepth(
+    LatticeCloud product, std::span<const uint8_t> depths) {
+  Column column({std::string(kDepthColumn), ScalarType::kUint8},
+                product.size());
+  for (size_t i = 0; i < product.size(); ++i) column.Set(i, depths[i]);
+  std::vector<Column>& columns = product.attributes.columns();
+  std::erase_if(columns,
+                [](const Column& c) { return c.name() == kDepthColumn; });
+  columns.insert(columns.begin(), std::move(column));
+  std::array<LatticeCloud, kDepthGroups.size()> groups;
+  for (size_t g = 0; g < groups.size(); ++g) {
+    std::vector<uint32_t> rows;
+    for (uint32_t row = 0; row < depths.size(); ++row) {
+      if (depths[row] >= kDepthGroups[g].min &&
+          depths[row] <= kDepthGroups[g].max) {
+        rows.push_back(row);
+      }
+    }
+    groups[g] = product.Select(rows);
+  }
+  return groups;
+}
+
+absl::StatusOr<std::vector<uint8_t>> DepthsOf(const LatticeCloud& points) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Column* const column,
+      FindProductColumn(points, kDepthColumn, ScalarType::kUint8));
+  std::vector<uint8_t> depths;
+  for (size_t i = 0; i < points.size(); ++i) {
+    depths.push_back(column->Get<uint8_t>(i));
+    if (depths.back() > core::kMaxDepth) {
+      return absl::DataLossError(absl::StrCat(
+          "depth of point ", i, " of a product chunk: expected at most ",
+          core::kMaxDepth, ", found ", depths.back()));
+    }
+  }
+  return depths;
+}
+
+int64_t ProductPointBytes(std::span<const core::ColumnSpec> attributes) {
+  // Position, depth, label, confidence, lambdas, normal and tangent.
+  int64_t bytes = sizeof(core::LatticePoint) + 1 + 1 + 2 + 3 * 4 + 4 + 4;
+  for (const core::ColumnSpec& spec : attributes) {
+    // A byte more for the flag of a missing value.
+    bytes += static_cast<int64_t>(core::ScalarSize(spec.type)) + 1;
+  }
+  return bytes;
+}
+
 absl::StatusOr<const Column*> FindProductColumn(const LatticeCloud& points,
                                                 std::string_view name,
                                                 ScalarType type) {

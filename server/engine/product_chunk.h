@@ -2,12 +2,16 @@
 #define MAPSIEVE_SERVER_ENGINE_PRODUCT_CHUNK_H_
 
 #include <array>
+#include <cstdint>
+#include <span>
 #include <string_view>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/cloud/point_cloud.h"
 #include "core/spdf/labels.h"
+#include "core/spdf/levels.h"
 
 /// How the filter's answer lies in the blocks of product chunks: columns whose
 /// names begin with kReservedAttributePrefix, then the input's attributes
@@ -20,6 +24,34 @@ inline constexpr std::array<std::string_view, 3> kLambdaColumns = {
     "spdf.lambda1", "spdf.lambda2", "spdf.lambda3"};
 inline constexpr std::string_view kNormalColumn = "spdf.normal";
 inline constexpr std::string_view kTangentColumn = "spdf.tangent";
+
+/// Depth of the point: uint8, 0 to core::kMaxDepth.
+inline constexpr std::string_view kDepthColumn = "spdf.depth";
+
+/// Depths from min to max.
+struct DepthRange {
+  int min = 0;
+  int max = core::kMaxDepth;
+};
+/// The points of a tile are divided into chunks of these depths, the coarse
+/// ones first: few points are as deep as the last levels, and a chunk for each
+/// would be mostly head.
+inline constexpr std::array<DepthRange, 4> kDepthGroups = {
+    DepthRange{3, core::kMaxDepth}, DepthRange{2, 2}, DepthRange{1, 1},
+    DepthRange{0, 0}};
+
+/// The points of a product cloud by kDepthGroups, each in their order, with
+/// `depths`, one entry a point, as column kDepthColumn.
+std::array<core::LatticeCloud, kDepthGroups.size()> SplitByDepth(
+    core::LatticeCloud product, std::span<const uint8_t> depths);
+
+/// kDepthColumn of the product points; kDataLoss: not there, or a number in it
+/// that is no depth.
+absl::StatusOr<std::vector<uint8_t>> DepthsOf(const core::LatticeCloud& points);
+
+/// An upper bound of the memory of a decoded point of a product whose points
+/// have `attributes`.
+int64_t ProductPointBytes(std::span<const core::ColumnSpec> attributes);
 
 /// `points` with `labels`, one entry a point, as columns before their own.
 core::LatticeCloud MakeProductCloud(core::LatticeCloud points,

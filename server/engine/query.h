@@ -59,6 +59,12 @@ struct QuerySpec {
   /// Only points with one of these labels (kNone is no choice: such points are
   /// outliers); empty: all. Not with `raw`.
   std::vector<core::Label> labels;
+  /// The points of this level of detail (core/spdf/levels.h), 0 to
+  /// core::kMaxDepth: those of this depth and above. Not with `raw`.
+  int depth = 0;
+  /// Another way to say it, if above 0: core::LevelOfSpacing with the options
+  /// that the answering revision was processed with. Not with `depth` or `raw`.
+  double spacing_m = 0;
   /// At most this many points, by core::SampleUnderBudget over all points
   /// asked for. 0: no limit. Not with `raw`.
   int64_t max_points = 0;
@@ -100,8 +106,9 @@ class QueryCursor {
   virtual const QueryHeader& header() const = 0;
 
   /// The next points as one block of core/codec of 1 to kMaxBatchBytes bytes;
-  /// nothing once all were given. Points come in Morton order of their tiles,
-  /// the filter's survivors in Morton order throughout. Reads a few chunks of
+  /// nothing once all were given. Points come in Morton order of their tiles;
+  /// the filter's survivors those of depth 3 and above first, then depth 2, 1
+  /// and 0, each part in Morton order throughout. Reads a few chunks of
   /// storage; the first call under a budget reads all candidates. After an
   /// error the cursor is of no further use.
   /// kCancelled; kDataLoss, kUnavailable: storage; kResourceExhausted: what

@@ -14,8 +14,10 @@
 #include <vector>
 
 #include "core/base/status.h"
+#include "core/cloud/merge_duplicates.h"
 #include "core/codec/points_codec.h"
 #include "core/sampling/spatial_budget.h"
+#include "core/spdf/levels.h"
 #include "server/engine/answer_columns.h"
 #include "server/engine/chunk_reader.h"
 #include "server/engine/chunk_walk.h"
@@ -33,10 +35,10 @@ using storage::ChunkKind;
 using storage::ChunkRef;
 using storage::ReadSnapshot;
 
-/// Of a candidate under a budget: position, label, a row number and the
-/// sample's own row number.
+/// Of a candidate under a budget: position and label, as they come and sorted,
+/// the order, a row number and the sample's own row number.
 constexpr int64_t kCandidateBytes =
-    sizeof(LatticePoint) + sizeof(Label) + 2 * sizeof(uint32_t);
+    2 * (sizeof(LatticePoint) + sizeof(Label)) + 3 * sizeof(uint32_t);
 /// Of a point chosen under a budget: cell, row and centroid, twice while they
 /// are sorted.
 constexpr int64_t kChosenBytes = 80;
@@ -52,6 +54,7 @@ struct PointFilter {
   std::array<bool, core::kLabelCount> labels{};
   /// Nothing for raw points.
   std::optional<core::OutlierTest> outliers;
+  int min_depth = 0;
 
   /// Points of the chunk that may pass.
   int64_t CountCandidates(const ChunkRef& chunk) const {
@@ -71,6 +74,7 @@ struct PointFilter {
   absl::StatusOr<Passed> Select(const LatticeCloud& chunk) const {
     const Column* label_column = nullptr;
     const Column* confidence_column = nullptr;
+    std::vector<uint8_t> depths;
     if (outliers.has_value()) {
       MAPSIEVE_RETURN_IF_ERROR(CountLabels(chunk).status());
       MAPSIEVE_ASSIGN_OR_RETURN(
@@ -79,6 +83,9 @@ struct PointFilter {
       MAPSIEVE_ASSIGN_OR_RETURN(confidence_column,
                                 FindProductColumn(chunk, kConfidenceColumn,
                                                   core::ScalarType::kUint16));
+      if (min_depth > 0) {
+        MAPSIEVE_ASSIGN_OR_RETURN(depths, DepthsOf(chunk));
+      }
     }
     Passed passed;
     for (uint32_t row = 0; row < chunk.size(); ++row) {
@@ -89,6 +96,7 @@ struct PointFilter {
             !outliers->Keeps(label, confidence_column->Get<uint16_t>(row))) {
           continue;
         }
+        if (min_depth > 0 && depths[row] < min_depth) continue;
       }
       if (region.has_value() && !region->Contains(chunk.positions[row])) {
         continue;
@@ -114,7 +122,7 @@ class RegionQuery final : public QueryCursor {
         stop_(std::move(stop)),
         pool_(memory),
         memory_(memory),
-        walk_(*snapshot_, kind_, filter_.region) {
+        walk_(NewWalk()) {
     header_ = {.revision = snapshot_->revision().number,
                .step_nm = snapshot_->map().spec.step_nm,
                .columns = columns_.specs()};
@@ -123,7 +131,7 @@ class RegionQuery final : public QueryCursor {
 
   /// Counts the candidates and reserves what the answer needs in any case.
   absl::Status Prepare() {
-    ChunkWalk walk(*snapshot_, kind_, filter_.region);
+    ChunkWalk walk = NewWalk();
     int64_t largest = 0;
     while (true) {
       MAPSIEVE_RETURN_IF_ERROR(CheckStop());
@@ -169,6 +177,10 @@ class RegionQuery final : public QueryCursor {
   QuerySummary summary() const override { return summary_; }
 
  private:
+  ChunkWalk NewWalk() const {
+    return {*snapshot_, kind_, filter_.region, filter_.min_depth};
+  }
+
   absl::Status CheckStop() const {
     if (stop_.stop_requested()) return absl::CancelledError("cancelled");
     return absl::OkStatus();
@@ -177,7 +189,10 @@ class RegionQuery final : public QueryCursor {
   /// Columns that the filter looks at.
   std::vector<std::string> FilterNames() const {
     if (kind_ == ChunkKind::kRaw) return {};
-    return {std::string(kLabelColumn), std::string(kConfidenceColumn)};
+    std::vector<std::string> names = {std::string(kLabelColumn),
+                                      std::string(kConfidenceColumn)};
+    if (filter_.min_depth > 0) names.emplace_back(kDepthColumn);
+    return names;
   }
 
   /// Gathers all candidates and chooses among them.
@@ -197,7 +212,7 @@ class RegionQuery final : public QueryCursor {
     std::vector<Label> labels;
     positions.reserve(static_cast<size_t>(max_candidates_));
     labels.reserve(static_cast<size_t>(max_candidates_));
-    ChunkWalk walk(*snapshot_, kind_, filter_.region);
+    ChunkWalk walk = NewWalk();
     while (true) {
       MAPSIEVE_RETURN_IF_ERROR(CheckStop());
       MAPSIEVE_ASSIGN_OR_RETURN(const std::optional<ChunkRef> chunk,
@@ -217,8 +232,27 @@ class RegionQuery final : public QueryCursor {
     const auto chosen =
         std::min(max_points_, static_cast<int64_t>(labels.size()));
     MAPSIEVE_RETURN_IF_ERROR(memory_.Grow(kChosenBytes * chosen, "max_points"));
+    // The sample asks for Morton order, which the walk has within each group.
+    const std::vector<uint32_t> order = core::MortonOrder(positions);
+    std::vector<LatticePoint> sorted_positions;
+    std::vector<Label> sorted_labels;
+    for (const uint32_t row : order) {
+      sorted_positions.push_back(positions[row]);
+      sorted_labels.push_back(labels[row]);
+    }
     MAPSIEVE_ASSIGN_OR_RETURN(
-        sample_, core::SampleUnderBudget(positions, labels, chosen));
+        const core::BudgetSample sample,
+        core::SampleUnderBudget(sorted_positions, sorted_labels, chosen));
+    std::vector<std::pair<uint32_t, size_t>> rows;
+    for (size_t i = 0; i < sample.rows.size(); ++i) {
+      rows.emplace_back(order[sample.rows[i]], i);
+    }
+    std::sort(rows.begin(), rows.end());
+    sample_.emplace();
+    for (const auto& [row, i] : rows) {
+      sample_->rows.push_back(row);
+      sample_->centroids.push_back(sample.centroids[i]);
+    }
     return absl::OkStatus();
   }
 
@@ -332,6 +366,25 @@ absl::Status CheckSpec(const QuerySpec& spec) {
         absl::StrCat("max_points is ", spec.max_points,
                      "; it must be 0 (no limit) or above"));
   }
+  if (spec.depth < 0 || spec.depth > core::kMaxDepth) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("depth is ", spec.depth, "; it must be 0 (all points) to ",
+                     core::kMaxDepth));
+  }
+  if (!(spec.spacing_m >= 0)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("spacing_m is ", spec.spacing_m,
+                     "; it must be 0 (all points) or above"));
+  }
+  if (spec.depth > 0 && spec.spacing_m > 0) {
+    return absl::InvalidArgumentError(
+        "depth, spacing_m: both choose a level of detail; leave one out");
+  }
+  if (spec.raw && (spec.depth > 0 || spec.spacing_m > 0)) {
+    return absl::InvalidArgumentError(
+        "depth, spacing_m: raw points have no levels of detail; leave them or "
+        "raw out");
+  }
   for (const Label label : spec.labels) {
     if (label != Label::kJunction && label != Label::kCurve &&
         label != Label::kSurface) {
@@ -410,6 +463,9 @@ absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(storage::Store& store,
                               ParseSpdfOptions(revision.product->options));
     filter.outliers.emplace(revision.product->max_confidence,
                             options.outlier_share);
+    filter.min_depth = spec.spacing_m > 0
+                           ? core::LevelOfSpacing(options, spec.spacing_m)
+                           : spec.depth;
   }
   MAPSIEVE_ASSIGN_OR_RETURN(AnswerColumns columns,
                             AnswerColumns::Make(spec, revision.attributes));

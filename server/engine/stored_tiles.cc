@@ -25,8 +25,6 @@ constexpr int64_t kPageSize = 1000;
 /// More tiles are not written at once: their bookkeeping is not counted.
 constexpr size_t kMaxPendingTiles = 64;
 constexpr size_t kConfidenceCount = 65536;
-/// The filter's columns of a product chunk.
-constexpr int64_t kProductPointBytes = 23;
 
 std::string StateName(const CellKey& key, core::TileStateKind kind) {
   return std::to_string(static_cast<int>(kind)) + "-" + key.ToString();
@@ -77,28 +75,22 @@ core::MaxConfidence ConfidenceHistogram::MaxConfidences() const {
 StoredTiles::StoredTiles(storage::Store& store,
                          const storage::ReadSnapshot& snapshot,
                          const storage::ReadSnapshot* previous,
-                         storage::Scratch& scratch, const Options& options)
+                         storage::Scratch& scratch, ProductLevels& products,
+                         const Options& options)
     : snapshot_(snapshot),
       previous_(previous),
       scratch_(scratch),
       options_(options),
-      products_(store, ChunkKind::kProduct, options.max_chunk_bytes,
-                *options.io),
-      history_(store) {
-  point_bytes_ = sizeof(LatticePoint) + kProductPointBytes;
-  for (const core::ColumnSpec& spec : snapshot.revision().spec.attributes) {
-    // A byte more for the flag of a missing value.
-    point_bytes_ += static_cast<int64_t>(core::ScalarSize(spec.type)) + 1;
-  }
-}
-
+      products_(products),
+      history_(store),
+      point_bytes_(ProductPointBytes(snapshot.revision().spec.attributes)) {}
 absl::StatusOr<std::unique_ptr<StoredTiles>> StoredTiles::Open(
     storage::Store& store, const storage::ReadSnapshot& snapshot,
     const storage::ReadSnapshot* previous,
     std::span<const core::TileChange> changes, storage::Scratch& scratch,
-    const Options& options) {
+    ProductLevels& products, const Options& options) {
   std::unique_ptr<StoredTiles> tiles(
-      new StoredTiles(store, snapshot, previous, scratch, options));
+      new StoredTiles(store, snapshot, previous, scratch, products, options));
   for (const core::TileChange& change : changes) {
     tiles->changed_.insert(change.tile);
   }
@@ -253,13 +245,7 @@ absl::Status StoredTiles::Flush() {
   }
   std::erase_if(
       clouds, [](const TileCloud& cloud) { return cloud.points.size() == 0; });
-  return products_.Write(std::move(clouds), options_.stop);
-}
-
-std::vector<ChunkRef> StoredTiles::chunks() const {
-  std::vector<ChunkRef> chunks = products_.chunks();
-  chunks.insert(chunks.end(), history_chunks_.begin(), history_chunks_.end());
-  return chunks;
+  return products_.Add(std::move(clouds));
 }
 
 }  // namespace mapsieve::engine

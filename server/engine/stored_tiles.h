@@ -16,8 +16,8 @@
 #include "core/spdf/labels.h"
 #include "core/spdf/tile_filter.h"
 #include "core/spdf/tile_update.h"
-#include "server/engine/chunk_writer.h"
 #include "server/engine/death_history.h"
+#include "server/engine/product_levels.h"
 #include "storage/store.h"
 
 namespace mapsieve::engine {
@@ -39,15 +39,14 @@ class ConfidenceHistogram {
 };
 
 /// Tile by tile the raw points of a stored revision for the filter, and the
-/// filter's answer as product and history chunks. Memory: the raw chunks of one
-/// tile for each worker, and answers up to a limit before they are written.
+/// filter's answer for ProductLevels and as history chunks. Memory: the raw
+/// chunks of one tile for each worker, and answers up to a limit before they
+/// are written.
 class StoredTiles final : public core::TileStore {
  public:
   struct Options {
     /// Decoded answers that wait to be written.
     int64_t max_pending_bytes = 0;
-    /// Of a decoded product chunk.
-    int64_t max_chunk_bytes = 0;
     /// Reads, encodes and stores answers.
     Executor* io = nullptr;
     std::stop_token stop;
@@ -60,7 +59,7 @@ class StoredTiles final : public core::TileStore {
       storage::Store& store, const storage::ReadSnapshot& snapshot,
       const storage::ReadSnapshot* previous,
       std::span<const core::TileChange> changes, storage::Scratch& scratch,
-      const Options& options);
+      ProductLevels& products, const Options& options);
 
   std::vector<core::TileInfo> Tiles() const override { return tiles_; }
   absl::StatusOr<int64_t> LoadPoints(
@@ -74,9 +73,11 @@ class StoredTiles final : public core::TileStore {
   /// Writes what is pending; to be called after the last Emit.
   absl::Status Flush();
 
-  /// References to what was written: product chunks, then history chunks. Safe
-  /// from collection while this object lives.
-  std::vector<storage::ChunkRef> chunks() const;
+  /// References to the history chunks written. Safe from collection while this
+  /// object lives.
+  const std::vector<storage::ChunkRef>& chunks() const {
+    return history_chunks_;
+  }
   /// The tiles emitted.
   const std::unordered_set<core::CellKey, core::CellKeyHash>& emitted() const {
     return emitted_;
@@ -95,7 +96,7 @@ class StoredTiles final : public core::TileStore {
 
   StoredTiles(storage::Store& store, const storage::ReadSnapshot& snapshot,
               const storage::ReadSnapshot* previous, storage::Scratch& scratch,
-              const Options& options);
+              ProductLevels& products, const Options& options);
   absl::Status ReadTileList();
   absl::StatusOr<std::vector<core::DeathRound>> PreviousDeaths(
       const core::CellKey& key);
@@ -106,7 +107,7 @@ class StoredTiles final : public core::TileStore {
   const storage::ReadSnapshot* const previous_;
   storage::Scratch& scratch_;
   const Options options_;
-  ChunkWriter products_;
+  ProductLevels& products_;
   DeathHistoryWriter history_;
   std::vector<storage::ChunkRef> history_chunks_;
   std::vector<core::TileInfo> tiles_;
@@ -117,7 +118,7 @@ class StoredTiles final : public core::TileStore {
   std::vector<Pending> pending_;
   int64_t pending_bytes_ = 0;
   /// An upper bound of the memory of a decoded point of the map.
-  int64_t point_bytes_ = 0;
+  const int64_t point_bytes_;
   ConfidenceHistogram histogram_;
 };
 

@@ -259,6 +259,8 @@ absl::StatusOr<engine::QuerySpec> ToQuerySpec(
       spec.labels.push_back(wanted);
     }
   }
+  spec.depth = request.depth();
+  spec.spacing_m = request.spacing_m();
   spec.max_points = request.max_point_count();
   if (request.has_columns()) {
     MAPSIEVE_ASSIGN_OR_RETURN(spec.columns,

@@ -142,7 +142,7 @@ double CountingPassSeconds(const std::vector<core::LatticePoint>& distinct,
   unit.Grow(distinct.size(), /*is_core=*/true);
   unit.SetPoints(0, distinct);
   return Seconds([&] {
-    if (!unit.RunQuota({}).ok()) Fail("the counting pass failed");
+    if (!unit.RunQuota(constants.density_d2, {}).ok()) Fail("the counting pass failed");
   });
 }
 

@@ -12,8 +12,10 @@
 #include "core/cloud/merge_duplicates.h"
 #include "core/codec/points_codec.h"
 #include "core/spdf/cloud_filter.h"
+#include "core/spdf/levels.h"
 #include "gtest/gtest.h"
 #include "server/engine/job_manager.h"
+#include "server/engine/product_chunk.h"
 #include "server/engine/region_query.h"
 #include "tests/testing/clouds.h"
 
@@ -106,12 +108,23 @@ std::vector<std::byte> MakeUpload(const LatticeCloud& cloud,
 }
 
 LatticeCloud FilterLocally(const LatticeCloud& cloud,
-                           const core::SpdfOptions& options) {
+                           const core::SpdfOptions& options, int depth) {
   const auto filtered = core::FilterCloud(cloud, options);
   EXPECT_TRUE(filtered.ok()) << filtered.status();
-  const core::FilteredCloud kept =
-      filtered->WithoutOutliers(options.outlier_share);
-  return core::MakeLabeledCloud(cloud, kept.rows, kept.columns);
+  const auto depths = core::ComputeDepths(
+      cloud.Select(filtered->rows).positions, cloud.lattice, options);
+  EXPECT_TRUE(depths.ok()) << depths.status();
+  std::vector<uint32_t> order;
+  std::vector<uint32_t> rows;
+  for (const DepthRange& group : kDepthGroups) {
+    for (const uint32_t i : filtered->Inliers(options.outlier_share)) {
+      const int own = (*depths)[i];
+      if (own < depth || own < group.min || own > group.max) continue;
+      order.push_back(i);
+      rows.push_back(filtered->rows[i]);
+    }
+  }
+  return core::MakeLabeledCloud(cloud, rows, filtered->columns.Select(order));
 }
 
 absl::StatusOr<Answer> ReadAll(QueryCursor& cursor) {

@@ -41,9 +41,11 @@ std::vector<core::LatticeCloud> Split(const core::LatticeCloud& cloud,
 std::vector<std::byte> MakeUpload(const core::LatticeCloud& cloud,
                                   size_t block_points = 3000);
 
-/// What the service answers to a query of the whole map: the filter in memory.
+/// What the service answers to a query of the whole map, in its order: the
+/// filter and the levels of detail in memory.
 core::LatticeCloud FilterLocally(const core::LatticeCloud& cloud,
-                                 const core::SpdfOptions& options);
+                                 const core::SpdfOptions& options,
+                                 int depth = 0);
 
 /// An answer, its batches put together.
 struct Answer {

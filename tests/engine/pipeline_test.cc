@@ -7,6 +7,7 @@
 #include "core/cloud/merge_duplicates.h"
 #include "core/codec/points_codec.h"
 #include "core/spdf/cloud_filter.h"
+#include "core/spdf/levels.h"
 #include "gtest/gtest.h"
 #include "server/engine/chunk_reader.h"
 #include "server/engine/product_chunk.h"
@@ -115,6 +116,10 @@ TEST(PipelineTest, StoresEverythingTheFilterSays) {
                                   ReadPoints(*snapshot, chunk));
     MAPSIEVE_ASSERT_OK(stored.attributes.AppendAll(
         stored.size(), points.attributes, points.size()));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<uint8_t> own,
+                                  DepthsOf(points));
+    EXPECT_EQ(*std::min_element(own.begin(), own.end()), chunk.min_depth);
+    EXPECT_EQ(*std::max_element(own.begin(), own.end()), chunk.max_depth);
     for (const core::LatticePoint& q : points.positions) {
       EXPECT_TRUE(chunk.bounds.Contains(q));
       stored.positions.push_back(q);
@@ -124,8 +129,19 @@ TEST(PipelineTest, StoresEverythingTheFilterSays) {
     }
   }
   // Outliers are stored: the test is applied when points are read.
-  ExpectSameCloud(stored, MakeProductCloud(scene.Select(expected.rows),
-                                           expected.columns.All()));
+  const LatticeCloud survivors = scene.Select(expected.rows);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const std::vector<uint8_t> depths,
+      core::ComputeDepths(survivors.positions, scene.lattice, options));
+  LatticeCloud divided;
+  for (const LatticeCloud& group : SplitByDepth(
+           MakeProductCloud(survivors, expected.columns.All()), depths)) {
+    MAPSIEVE_ASSERT_OK(divided.attributes.AppendAll(
+        divided.size(), group.attributes, group.size()));
+    divided.positions.insert(divided.positions.end(), group.positions.begin(),
+                             group.positions.end());
+  }
+  ExpectSameCloud(InCanonicalOrder(stored), InCanonicalOrder(divided));
   EXPECT_EQ(counts, expected.summary.label_counts);
   const auto& product = snapshot->revision().spec.product;
   ASSERT_TRUE(product.has_value());

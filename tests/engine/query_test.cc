@@ -1,12 +1,15 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <limits>
 #include <set>
 #include <stop_token>
 #include <string>
 #include <vector>
 
+#include "core/cloud/merge_duplicates.h"
 #include "core/sampling/spatial_budget.h"
+#include "core/spdf/levels.h"
 #include "gtest/gtest.h"
 #include "server/engine/region_query.h"
 #include "tests/engine/engine_testing.h"
@@ -144,9 +147,12 @@ TEST_F(RegionQueryTest, SummaryAndHeaderTellTheAnswer) {
 }
 
 TEST_F(RegionQueryTest, BudgetIsWhatTheSamplerChooses) {
+  const LatticeCloud sorted =
+      expected_->Select(core::MortonOrder(expected_->positions));
+  const core::Column& label_column = *sorted.attributes.Find("label");
   std::vector<Label> labels;
-  for (size_t row = 0; row < expected_->size(); ++row) {
-    labels.push_back(LabelAt(row));
+  for (size_t row = 0; row < sorted.size(); ++row) {
+    labels.push_back(static_cast<Label>(label_column.Get<uint8_t>(row)));
   }
   const auto available = static_cast<int64_t>(expected_->size());
   for (const int64_t budget : {int64_t{1}, int64_t{7}, int64_t{300},
@@ -155,22 +161,80 @@ TEST_F(RegionQueryTest, BudgetIsWhatTheSamplerChooses) {
                                   workshop_->Query({.max_points = budget}));
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
         const core::BudgetSample sample,
-        core::SampleUnderBudget(expected_->positions, labels, budget));
+        core::SampleUnderBudget(sorted.positions, labels, budget));
     EXPECT_EQ(answer.summary.point_count, std::min(budget, available));
     EXPECT_LE(answer.header.candidate_point_count, budget);
-    ExpectSameCloud(answer.points, expected_->Select(sample.rows));
+    ExpectSameCloud(InCanonicalOrder(answer.points),
+                    InCanonicalOrder(sorted.Select(sample.rows)));
 
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
         const Answer centroids,
         workshop_->Query({.max_points = budget,
                           .representative = Representative::kCentroid}));
-    LatticeCloud moved = expected_->Select(sample.rows);
+    LatticeCloud moved = sorted.Select(sample.rows);
     for (size_t i = 0; i < moved.size(); ++i) {
       const Point3& c = sample.centroids[i];
       moved.positions[i] = {std::llrint(c.x), std::llrint(c.y),
                             std::llrint(c.z)};
     }
-    ExpectSameCloud(centroids.points, moved);
+    ExpectSameCloud(InCanonicalOrder(centroids.points),
+                    InCanonicalOrder(moved));
+  }
+}
+
+TEST_F(RegionQueryTest, ALevelIsWhatTheDepthsInMemorySay) {
+  const core::SpdfOptions options = SceneOptions(core::DensityRule::kPaper);
+  int64_t finer_count = std::numeric_limits<int64_t>::max();
+  int64_t finer_candidates = finer_count;
+  for (const int depth : {0, 1, 2, 3, 5, core::kMaxDepth}) {
+    SCOPED_TRACE(depth);
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer,
+                                  workshop_->Query({.depth = depth}));
+    ExpectSameCloud(answer.points, FilterLocally(*scene_, options, depth));
+    EXPECT_GT(answer.summary.point_count, 0);
+    EXPECT_LE(answer.summary.point_count, finer_count);
+    // Chunks of finer groups are not looked into.
+    if (depth <= 3) {
+      EXPECT_LT(answer.header.candidate_point_count, finer_candidates);
+    }
+    finer_count = answer.summary.point_count;
+    finer_candidates = answer.header.candidate_point_count;
+    // The level with this spacing, and not the next.
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const Answer spaced,
+        workshop_->Query(
+            {.spacing_m = 1.01 * core::LevelSpacing(options, depth)}));
+    ExpectSameCloud(spaced.points, answer.points);
+  }
+}
+
+TEST_F(RegionQueryTest, ALevelGoesWithRegionLabelsAndBudget) {
+  const Sphere sphere = {{-4.5, 4.5, 2}, 6};
+  const std::vector<Label> labels = {Label::kCurve, Label::kSurface};
+  const core::SpdfOptions options = SceneOptions(core::DensityRule::kPaper);
+  const LatticeCloud level = FilterLocally(*scene_, options, 1);
+  const core::Column& label_column = *level.attributes.Find("label");
+  const LatticeCloud expected = Filter(level, [&](size_t row) {
+    const Point3 p = At(level, row);
+    return label_column.Get<uint8_t>(row) !=
+               static_cast<uint8_t>(Label::kJunction) &&
+           std::hypot(p.x + 4.5, p.y - 4.5, p.z - 2) <= 6;
+  });
+  ASSERT_GT(expected.size(), 40U);
+  ASSERT_LT(expected.size(), level.size());
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Answer all,
+      workshop_->Query({.region = sphere, .labels = labels, .depth = 1}));
+  ExpectSameCloud(all.points, expected);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Answer some,
+      workshop_->Query(
+          {.region = sphere, .labels = labels, .depth = 1, .max_points = 30}));
+  EXPECT_EQ(some.points.size(), 30U);
+  for (const LatticePoint& q : some.points.positions) {
+    EXPECT_NE(
+        std::find(expected.positions.begin(), expected.positions.end(), q),
+        expected.positions.end());
   }
 }
 
@@ -247,6 +311,15 @@ TEST_F(RegionQueryTest, RefusesWhatMakesNoSense) {
               StatusIs(invalid, HasSubstr("revision is -1")));
   EXPECT_THAT(workshop_->Query({.max_points = -1}),
               StatusIs(invalid, HasSubstr("max_points is -1")));
+  EXPECT_THAT(workshop_->Query({.depth = core::kMaxDepth + 1}),
+              StatusIs(invalid, HasSubstr("depth is 11")));
+  EXPECT_THAT(
+      workshop_->Query({.spacing_m = std::numeric_limits<double>::quiet_NaN()}),
+      StatusIs(invalid, HasSubstr("spacing_m is nan")));
+  EXPECT_THAT(workshop_->Query({.depth = 1, .spacing_m = 1}),
+              StatusIs(invalid, HasSubstr("leave one out")));
+  EXPECT_THAT(workshop_->Query({.depth = 1, .raw = true}),
+              StatusIs(invalid, HasSubstr("no levels")));
   EXPECT_THAT(workshop_->Query({.labels = {Label::kNone}}),
               StatusIs(invalid, HasSubstr("labels holds 0")));
   EXPECT_THAT(workshop_->Query({.labels = {static_cast<Label>(200)}}),

@@ -112,6 +112,8 @@ TEST(ToQuerySpec, TakesEveryField) {
        {v1::LABEL_CURVE, v1::LABEL_JUNCTION, v1::LABEL_CURVE}) {
     request.add_labels(label);
   }
+  request.set_depth(3);
+  request.set_spacing_m(0.5);
   request.set_max_point_count(1000);
   request.mutable_columns()->add_filter_columns(v1::FILTER_COLUMN_TANGENT);
   request.mutable_columns()->add_attributes("intensity");
@@ -122,6 +124,8 @@ TEST(ToQuerySpec, TakesEveryField) {
   EXPECT_EQ(spec.region, (engine::RegionShape(engine::Sphere{{0, 2, 0}, 3})));
   EXPECT_THAT(spec.labels,
               ElementsAre(core::Label::kCurve, core::Label::kJunction));
+  EXPECT_EQ(spec.depth, 3);
+  EXPECT_EQ(spec.spacing_m, 0.5);
   EXPECT_EQ(spec.max_points, 1000);
   ASSERT_TRUE(spec.columns.has_value());
   EXPECT_TRUE(spec.columns->tangent);

@@ -1,0 +1,254 @@
+#include "core/spdf/levels.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "core/base/hash.h"
+#include "core/cloud/merge_duplicates.h"
+#include "core/spdf/cloud_filter.h"
+#include "tests/testing/clouds.h"
+#include "tests/testing/status_matchers.h"
+
+namespace mapsieve::core {
+namespace {
+
+using ::mapsieve::testing::StatusIs;
+using ::testing::HasSubstr;
+namespace clouds = ::mapsieve::testing;
+
+/// Level by level, every pair of points.
+std::vector<uint8_t> BruteForceDepths(const std::vector<LatticePoint>& points,
+                                      const Lattice& lattice,
+                                      const SpdfOptions& options) {
+  const auto priority = [&](const LatticePoint& q) {
+    const int64_t key[4] = {q.x, q.y, q.z, options.seed};
+    return std::pair(HashIntegers(key), q);
+  };
+  std::vector<uint8_t> depths(points.size(), 0);
+  for (int level = 1; level <= kMaxDepth; ++level) {
+    const double radius = options.density_radius_m * std::pow(2, level);
+    const double limit =
+        std::floor(radius * radius / lattice.step() / lattice.step());
+    std::vector<size_t> kept;
+    for (size_t i = 0; i < points.size(); ++i) {
+      if (depths[i] != level - 1) continue;
+      int better = 0;
+      for (size_t j = 0; j < points.size(); ++j) {
+        if (depths[j] != level - 1) continue;
+        const auto x = static_cast<double>(points[i].x - points[j].x);
+        const auto y = static_cast<double>(points[i].y - points[j].y);
+        const auto z = static_cast<double>(points[i].z - points[j].z);
+        better += x * x + y * y + z * z <= limit &&
+                  priority(points[j]) < priority(points[i]);
+      }
+      if (better < options.neighbor_count) kept.push_back(i);
+    }
+    for (const size_t i : kept) depths[i] = static_cast<uint8_t>(level);
+  }
+  return depths;
+}
+
+std::vector<LatticePoint> Distinct(const LatticeCloud& cloud) {
+  return DistinctPoints(cloud.positions);
+}
+
+/// A scene whose coordinates are `factor` times as large.
+LatticeCloud Scaled(LatticeCloud cloud, int64_t factor) {
+  return clouds::Mapped(std::move(cloud), [factor](const LatticePoint& q) {
+    return LatticePoint{factor * q.x, factor * q.y, factor * q.z};
+  });
+}
+
+/// Clouds, and radii that reach from a part of them to more than all: some
+/// within kMaxRadiusSteps, some beyond.
+std::vector<std::tuple<std::string, LatticeCloud, double>> Cases() {
+  return {
+      {"scene", clouds::SceneCloud(700, 0.5, 1), 0.01},
+      {"dense scene", clouds::SceneCloud(700, 0.15, 2), 0.002},
+      {"wide scene", Scaled(clouds::SceneCloud(700, 0.5, 3), 200), 3.0},
+      {"volume", clouds::VolumeCloud(600, 0.2, 4), 0.02},
+      {"line", clouds::LineCloud(400, 0.5, 5), 0.005},
+      {"grid", clouds::GridCloud(8, 40), 0.04},
+      {"one point", clouds::PlaneCloud(1, 1, 6), 0.2},
+      {"far apart",
+       clouds::Concatenated(
+           clouds::SceneCloud(150, 0.2, 10),
+           clouds::Shifted(clouds::SceneCloud(150, 0.2, 11),
+                           {2'000'000'000, -1'000'000'000, 500})),
+       0.01},
+  };
+}
+
+TEST(Levels, EqualBruteForce) {
+  for (const auto& [name, cloud, radius_m] : Cases()) {
+    for (const int k : {6, 20}) {
+      SCOPED_TRACE(absl::StrCat(name, " k ", k));
+      const SpdfOptions options = {
+          .neighbor_count = k, .density_radius_m = radius_m, .seed = 9};
+      const std::vector<LatticePoint> points = Distinct(cloud);
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+          const std::vector<uint8_t> depths,
+          ComputeDepths(points, cloud.lattice, options));
+      EXPECT_EQ(depths, BruteForceDepths(points, cloud.lattice, options));
+      // Not a case in which all points are alike.
+      if (points.size() > 100) {
+        EXPECT_NE(*std::min_element(depths.begin(), depths.end()),
+                  *std::max_element(depths.begin(), depths.end()));
+      }
+    }
+  }
+}
+
+TEST(Levels, OfARuleQuotaCloudAreRuleQuotaAtTwiceTheRadius) {
+  const LatticeCloud cloud = clouds::SceneCloud(5000, 0.8, 20);
+  SpdfOptions options = {.density_radius_m = 0.05, .rule = DensityRule::kQuota};
+  LatticeCloud level = {.lattice = cloud.lattice, .positions = Distinct(cloud)};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const FilteredCloud finest,
+                                FilterCloud(level, options));
+  level = level.Select(finest.rows);
+  std::vector<LatticePoint> all = level.positions;
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<uint8_t> depths,
+                                ComputeDepths(all, cloud.lattice, options));
+  for (int depth = 1; depth <= 4; ++depth) {
+    options.density_radius_m *= 2;
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const FilteredCloud coarser,
+                                  FilterCloud(level, options));
+    level = level.Select(coarser.rows);
+    std::vector<LatticePoint> expected;
+    for (size_t i = 0; i < all.size(); ++i) {
+      if (depths[i] >= depth) expected.push_back(all[i]);
+    }
+    EXPECT_TRUE(level.positions == expected) << "depth " << depth;
+  }
+}
+
+/// Points in tiles of any level, whatever a run stores kept apart.
+class SmallLevelStore final : public LevelStore {
+ public:
+  SmallLevelStore(const std::vector<LatticePoint>& points, int level) {
+    for (const LatticePoint& q : points) {
+      cells_[0][CellKey::Of(q, level)].push_back(q);
+    }
+  }
+  std::vector<TileInfo> Tiles() const override {
+    std::vector<TileInfo> tiles;
+    for (const auto& [key, points] : cells_[0]) {
+      // At most so many.
+      tiles.push_back({key, static_cast<int64_t>(points.size()) + 1});
+    }
+    return tiles;
+  }
+  absl::StatusOr<int64_t> LoadPoints(int level, const CellKey& cell,
+                                     std::span<LatticePoint> room) override {
+    if (level == failing_level) return absl::UnavailableError("disk");
+    const auto& points = cells_[static_cast<size_t>(level)].at(cell);
+    EXPECT_LE(points.size(), room.size());
+    std::copy(points.begin(), points.end(), room.begin());
+    return static_cast<int64_t>(points.size());
+  }
+  absl::Status StorePoints(int level, const CellKey& cell,
+                           std::span<const LatticePoint> points) override {
+    EXPECT_TRUE(cells_[static_cast<size_t>(level)]
+                    .emplace(cell, std::vector(points.begin(), points.end()))
+                    .second);
+    return absl::OkStatus();
+  }
+  absl::Status EmitDepths(const CellKey& tile,
+                          std::span<const uint8_t> depths) override {
+    EXPECT_EQ(depths.size(), cells_[0].at(tile).size());
+    emitted.insert(emitted.end(), depths.begin(), depths.end());
+    return absl::OkStatus();
+  }
+
+  std::vector<uint8_t> emitted;
+  int failing_level = -1;
+
+ private:
+  std::array<std::map<CellKey, std::vector<LatticePoint>, CellKeyLess>,
+             kMaxDepth + 1>
+      cells_;
+};
+
+TEST(Levels, DoNotDependOnTilesUnitsOrWorkers) {
+  const auto pool = MakeWorkerPool(3);
+  // The last one has levels beyond kMaxRadiusSteps.
+  for (const auto& [cloud, radius_m] :
+       {std::pair(clouds::SceneCloud(2500, 1.2, 30), 0.02),
+        std::pair(clouds::Shifted(clouds::SceneCloud(2500, 1.2, 31),
+                                  {5100, 7200, -4100}),
+                  0.02),
+        std::pair(Scaled(clouds::SceneCloud(1500, 1.2, 32), 500), 4.0)}) {
+    const SpdfOptions options = {.neighbor_count = 10,
+                                 .density_radius_m = radius_m};
+    const std::vector<LatticePoint> points = Distinct(cloud);
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const std::vector<uint8_t> expected,
+        ComputeDepths(points, cloud.lattice, options));
+    DepthCounts expected_counts{};
+    for (const uint8_t depth : expected) ++expected_counts[depth];
+    const int fine = radius_m < 1 ? 7 : 16;
+    for (const auto& [level, max_unit_points] :
+         {std::pair(fine, int64_t{1}), std::pair(fine + 1, int64_t{300}),
+          std::pair(fine + 2, int64_t{1}), std::pair(21, int64_t{1}),
+          std::pair(fine + 3, int64_t{100000})}) {
+      SCOPED_TRACE(absl::StrCat("level ", level, " of ", radius_m));
+      SmallLevelStore store(points, level);
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+          const DepthCounts counts,
+          ComputeDepths(store, cloud.lattice, options,
+                        {.max_unit_points = max_unit_points},
+                        {.executor = max_unit_points > 1 ? pool.get()
+                                                         : &InlineExecutor()}));
+      EXPECT_EQ(store.emitted, expected);
+      EXPECT_EQ(counts, expected_counts);
+    }
+  }
+}
+
+TEST(Levels, OfNoPointsAreEmpty) {
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<uint8_t> depths,
+                                ComputeDepths({}, Lattice(), SpdfOptions()));
+  EXPECT_TRUE(depths.empty());
+}
+
+TEST(Levels, RefuseBadOptionsAndPassOnErrors) {
+  const std::vector<LatticePoint> points =
+      Distinct(clouds::SceneCloud(300, 0.5, 40));
+  EXPECT_THAT(
+      ComputeDepths(points, Lattice(), SpdfOptions{.density_radius_m = -1}),
+      StatusIs(absl::StatusCode::kInvalidArgument,
+               HasSubstr("density_radius_m")));
+  std::stop_source stop;
+  stop.request_stop();
+  EXPECT_THAT(ComputeDepths(points, Lattice(), SpdfOptions(),
+                            {.stop = stop.get_token()}),
+              StatusIs(absl::StatusCode::kCancelled, HasSubstr("")));
+  for (const int level : {0, 1, kMaxDepth}) {
+    SmallLevelStore store(points, 10);
+    store.failing_level = level;
+    EXPECT_THAT(ComputeDepths(store, Lattice(), SpdfOptions(), {}, {}),
+                StatusIs(absl::StatusCode::kUnavailable, HasSubstr("disk")));
+  }
+}
+
+TEST(Levels, ASpacingPicksTheCoarsestLevelThatIsFineEnough) {
+  const SpdfOptions options = {.neighbor_count = 50, .density_radius_m = 0.2};
+  // k points in a disk of the radius: each has a square of this edge.
+  const double finest = 0.2 * std::sqrt(3.14159265358979 / 50);
+  EXPECT_NEAR(LevelSpacing(options, 0), finest, 1e-12);
+  EXPECT_NEAR(LevelSpacing(options, 3), 8 * finest, 1e-12);
+  EXPECT_EQ(LevelOfSpacing(options, 0.01), 0);
+  EXPECT_EQ(LevelOfSpacing(options, 1.999 * finest), 0);
+  EXPECT_EQ(LevelOfSpacing(options, 2.001 * finest), 1);
+  EXPECT_EQ(LevelOfSpacing(options, 100 * finest), 6);
+  EXPECT_EQ(LevelOfSpacing(options, 1e300), kMaxDepth);
+}
+
+}  // namespace
+}  // namespace mapsieve::core
