@@ -505,8 +505,8 @@ TEST(Revisions, SayWhatMadeThem) {
   EXPECT_EQ(r[4].raw_point_count, replaced + added);
   EXPECT_EQ(r[5].kind, RevisionKind::kRollback);
   EXPECT_EQ(r[5].restored_revision, 3);
-  EXPECT_EQ(r[5].added_point_count, all - replaced - added);
-  EXPECT_EQ(r[5].removed_point_count, 0);
+  EXPECT_EQ(r[5].added_point_count, 0);
+  EXPECT_EQ(r[5].removed_point_count, replaced + added - all);
   EXPECT_EQ(r[5].stored_bytes, r[2].stored_bytes);
 }
 
