@@ -79,6 +79,10 @@ absl::Status RunCreate(const CommonOptions& common,
     spec.step_nm = static_cast<int64_t>(step_nm);
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.CreateMap(spec));
+  Json levels = Json::array();
+  for (const core::LabelCounts& counts : stats.level_counts) {
+    levels.push_back(LabelCountsJson(counts));
+  }
   PrintResult(common.json,
               {{"map", map.id},
                {"step", Step(map)},
@@ -196,6 +200,7 @@ absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
                {"raw_point_count", stats.raw_point_count},
                {"point_count", stats.point_count},
                {"label_counts", LabelCountsJson(stats.label_counts)},
+               {"level_label_counts", levels},
                {"outlier_count", stats.outlier_count},
                {"stored_bytes", stats.stored_bytes},
                {"tile_count", stats.tile_count},
