@@ -79,10 +79,6 @@ absl::Status RunCreate(const CommonOptions& common,
     spec.step_nm = static_cast<int64_t>(step_nm);
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.CreateMap(spec));
-  Json levels = Json::array();
-  for (const core::LabelCounts& counts : stats.level_counts) {
-    levels.push_back(LabelCountsJson(counts));
-  }
   PrintResult(common.json,
               {{"map", map.id},
                {"step", Step(map)},
@@ -189,6 +185,10 @@ absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
   Json attributes = Json::object();
   for (const core::ColumnSpec& spec : stats.attributes) {
     attributes[spec.name] = std::string(core::ScalarTypeName(spec.type));
+  }
+  Json levels = Json::array();
+  for (const core::LabelCounts& counts : stats.level_counts) {
+    levels.push_back(LabelCountsJson(counts));
   }
   PrintResult(common.json,
               {{"map", map.id},
