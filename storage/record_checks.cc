@@ -8,7 +8,7 @@
 #include "core/base/bytes.h"
 #include "core/base/status.h"
 #include "core/codec/points_codec.h"
-#include "core/spdf/levels.h"
+#include "core/spdf/labels.h"
 #include "storage/names.h"
 #include "storage/tile_order.h"
 

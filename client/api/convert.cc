@@ -129,6 +129,9 @@ MapStats FromProto(const v1::MapStats& stats) {
                      .stored_bytes = stats.stored_bytes(),
                      .tile_count = stats.tile_count(),
                      .stale_tile_count = stats.stale_tile_count()};
+  for (const v1::LabelCounts& counts : stats.level_counts()) {
+    result.level_counts.push_back(FromProto(counts));
+  }
   if (stats.has_bounds()) result.bounds = FromProto(stats.bounds());
   for (const v1::ColumnSpec& spec : stats.attributes()) {
     result.attributes.push_back(FromProto(spec));

@@ -74,6 +74,8 @@ struct MapStats {
   /// Points that a query of the whole map returns.
   int64_t point_count = 0;
   core::LabelCounts label_counts{};
+  /// The same of each level of detail, from label_counts on.
+  std::vector<core::LabelCounts> level_counts;
   int64_t outlier_count = 0;
   int64_t stored_bytes = 0;
   int64_t tile_count = 0;

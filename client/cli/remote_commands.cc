@@ -372,6 +372,10 @@ absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
   for (const core::ColumnSpec& spec : stats.attributes) {
     attributes[spec.name] = std::string(core::ScalarTypeName(spec.type));
   }
+  Json levels = Json::array();
+  for (const core::LabelCounts& counts : stats.level_counts) {
+    levels.push_back(LabelCountsJson(counts));
+  }
   PrintResult(common.json,
               {{"map", map.id},
                {"uid", map.uid},
@@ -382,6 +386,7 @@ absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
                {"raw_point_count", stats.raw_point_count},
                {"point_count", stats.point_count},
                {"label_counts", LabelCountsJson(stats.label_counts)},
+               {"level_label_counts", levels},
                {"outlier_count", stats.outlier_count},
                {"stored_bytes", stats.stored_bytes},
                {"tile_count", stats.tile_count},

@@ -11,6 +11,9 @@
 
 namespace mapsieve::core {
 
+/// The coarsest level of detail (levels.h).
+inline constexpr int kMaxDepth = 10;
+
 /// Largest confidence of each label in a map.
 using MaxConfidence = std::array<uint16_t, kLabelCount>;
 

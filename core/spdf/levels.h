@@ -11,6 +11,7 @@
 #include "core/base/executor.h"
 #include "core/geometry/cell_key.h"
 #include "core/geometry/lattice.h"
+#include "core/spdf/labels.h"
 #include "core/spdf/spdf_options.h"
 #include "core/spdf/tile_filter.h"
 
@@ -21,9 +22,6 @@
 /// above, a subset of every finer one, of uniform density, and a function of
 /// the set of points of level 0 and the options.
 namespace mapsieve::core {
-
-/// The coarsest level.
-inline constexpr int kMaxDepth = 10;
 
 /// Squared radius of the balls of level `level`, 0 to kMaxDepth, in steps²;
 /// `options` are valid on `lattice`.

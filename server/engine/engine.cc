@@ -246,6 +246,9 @@ class LocalEngine final : public Engine {
     for (const int64_t count : stats.label_counts) stats.point_count += count;
     stats.outlier_count =
         processed.totals.product_point_count - stats.point_count;
+    MAPSIEVE_ASSIGN_OR_RETURN(const ProcessReport report,
+                              ParseProcessReport(processed.spec.description));
+    stats.level_counts = report.level_counts;
     MAPSIEVE_ASSIGN_OR_RETURN(stats.options, ParseSpdfOptions(product.options));
     return stats;
   }

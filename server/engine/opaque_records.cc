@@ -169,6 +169,9 @@ void VisitProcessReport(V& v, T& report) {
   v.Field("distinct_point_count", report.distinct_point_count);
   v.Field("point_count", report.point_count);
   VisitCounts(v, "label_counts", report.label_counts);
+  for (auto& counts : report.level_counts) {
+    VisitCounts(v, "level_counts", counts);
+  }
   v.Field("outlier_count", report.outlier_count);
   v.Field("round_count", report.round_count);
   v.Field("updated_tile_count", report.updated_tile_count);

@@ -280,6 +280,8 @@ class MapRun {
 
   absl::StatusOr<ProcessReport> Commit(const ProductTotals& totals,
                                        storage::RevisionChange change) {
+    levels_->LeaveOut(
+        core::OutlierTest(totals.max_confidence, options_.outlier_share));
     // The work reported is the filter's.
     MAPSIEVE_RETURN_IF_ERROR(
         core::ComputeDepths(
@@ -293,6 +295,7 @@ class MapRun {
         .revision = base.number + 1,
         .distinct_point_count = totals.distinct_point_count,
         .label_counts = totals.kept,
+        .level_counts = levels_->level_counts(),
         .round_count = totals.round_count,
         .updated_tile_count = static_cast<int64_t>(tiles_->emitted().size())};
     report.point_count =

@@ -123,16 +123,28 @@ absl::Status ProductLevels::StorePoints(int level, const CellKey& cell,
   return scratch_.Write(LevelName(level, cell), block);
 }
 
-/// Whether the kept chunks of the tile say the same.
-absl::StatusOr<bool> ProductLevels::HasDepths(
-    const CellKey& tile, std::span<const uint8_t> depths) const {
-  if (tiles_.at(tile).kept.empty()) return false;
-  MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud points,
-                            Load(tile, {.attributes = std::vector<std::string>{
-                                            std::string(kDepthColumn)}}));
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> before,
-                            DepthsOf(points));
-  return std::equal(before.begin(), before.end(), depths.begin(), depths.end());
+/// Of one tile.
+absl::StatusOr<LevelCounts> ProductLevels::CountLevels(
+    const LatticeCloud& points, std::span<const uint8_t> depths) const {
+  MAPSIEVE_RETURN_IF_ERROR(CountLabels(points).status());
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const core::Column* const labels,
+      FindProductColumn(points, kLabelColumn, core::ScalarType::kUint8));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const core::Column* const confidences,
+      FindProductColumn(points, kConfidenceColumn, core::ScalarType::kUint16));
+  LevelCounts counts{};
+  for (size_t i = 0; i < points.size(); ++i) {
+    const auto label = static_cast<core::Label>(labels->Get<uint8_t>(i));
+    if (outliers_.has_value() &&
+        !outliers_->Keeps(label, confidences->Get<uint16_t>(i))) {
+      continue;
+    }
+    for (size_t level = 0; level <= depths[i]; ++level) {
+      ++counts[level][static_cast<size_t>(label)];
+    }
+  }
+  return counts;
 }
 
 absl::Status ProductLevels::EmitDepths(const CellKey& tile,
@@ -152,6 +164,7 @@ absl::Status ProductLevels::Flush() {
   pending_bytes_ = 0;
   const std::vector<Pending> pending = std::exchange(pending_, {});
   std::vector<Groups> divided(pending.size());
+  std::vector<LevelCounts> counts(pending.size());
   MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
       *options_.io, static_cast<int64_t>(pending.size()),
       [&](int64_t i) -> absl::Status {
@@ -159,13 +172,35 @@ absl::Status ProductLevels::Flush() {
           return absl::CancelledError("cancelled");
         }
         const auto& [tile, depths] = pending[static_cast<size_t>(i)];
-        MAPSIEVE_ASSIGN_OR_RETURN(const bool is_same, HasDepths(tile, depths));
-        if (is_same) return absl::OkStatus();
+        if (!tiles_.at(tile).kept.empty()) {
+          MAPSIEVE_ASSIGN_OR_RETURN(
+              const LatticeCloud before,
+              Load(tile,
+                   {.attributes = std::vector<std::string>{
+                        std::string(kDepthColumn), std::string(kLabelColumn),
+                        std::string(kConfidenceColumn)}}));
+          MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> old_depths,
+                                    DepthsOf(before));
+          if (old_depths == depths) {
+            MAPSIEVE_ASSIGN_OR_RETURN(counts[static_cast<size_t>(i)],
+                                      CountLevels(before, depths));
+            return absl::OkStatus();
+          }
+        }
         MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud points, Load(tile, {}));
+        MAPSIEVE_ASSIGN_OR_RETURN(counts[static_cast<size_t>(i)],
+                                  CountLevels(points, depths));
         divided[static_cast<size_t>(i)] =
             SplitByDepth(std::move(points), depths);
         return absl::OkStatus();
       }));
+  for (const LevelCounts& tile : counts) {
+    for (size_t level = 0; level < tile.size(); ++level) {
+      for (size_t label = 0; label < core::kLabelCount; ++label) {
+        level_counts_[level][label] += tile[level][label];
+      }
+    }
+  }
   std::vector<TileCloud> clouds;
   for (size_t i = 0; i < pending.size(); ++i) {
     const size_t first = clouds.size();

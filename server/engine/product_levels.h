@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <span>
 #include <stop_token>
 #include <vector>
@@ -15,6 +16,7 @@
 #include "core/spdf/labels.h"
 #include "core/spdf/levels.h"
 #include "server/engine/chunk_writer.h"
+#include "server/engine/types.h"
 #include "storage/store.h"
 
 namespace mapsieve::engine {
@@ -55,6 +57,9 @@ class ProductLevels final : public core::LevelStore {
   absl::Status EmitDepths(const core::CellKey& tile,
                           std::span<const uint8_t> depths) override;
 
+  /// What level_counts leaves out; to be called before ComputeDepths.
+  void LeaveOut(const core::OutlierTest& outliers) { outliers_ = outliers; }
+
   /// Writes what is pending; to be called after ComputeDepths.
   absl::Status Flush();
 
@@ -63,6 +68,8 @@ class ProductLevels final : public core::LevelStore {
   const std::vector<storage::ChunkRef>& chunks() const {
     return chunks_.chunks();
   }
+  /// Points of each level of detail that are no outliers.
+  const LevelCounts& level_counts() const { return level_counts_; }
   /// Numbers of kept chunks that these replace.
   const std::vector<int64_t>& replaced() const { return replaced_; }
 
@@ -79,8 +86,8 @@ class ProductLevels final : public core::LevelStore {
 
   absl::StatusOr<core::LatticeCloud> Load(
       const core::CellKey& tile, const core::DecodeOptions& options) const;
-  absl::StatusOr<bool> HasDepths(const core::CellKey& tile,
-                                 std::span<const uint8_t> depths) const;
+  absl::StatusOr<LevelCounts> CountLevels(
+      const core::LatticeCloud& points, std::span<const uint8_t> depths) const;
 
   const storage::ReadSnapshot& snapshot_;
   storage::Scratch& scratch_;
@@ -91,6 +98,8 @@ class ProductLevels final : public core::LevelStore {
   std::vector<Pending> pending_;
   int64_t pending_bytes_ = 0;
   std::vector<int64_t> replaced_;
+  std::optional<core::OutlierTest> outliers_;
+  LevelCounts level_counts_{};
 };
 
 }  // namespace mapsieve::engine

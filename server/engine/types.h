@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_SERVER_ENGINE_TYPES_H_
 #define MAPSIEVE_SERVER_ENGINE_TYPES_H_
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -13,6 +14,7 @@
 #include "core/cloud/point_cloud.h"
 #include "core/geometry/lattice.h"
 #include "core/spdf/labels.h"
+#include "core/spdf/levels.h"
 #include "core/spdf/spdf_options.h"
 #include "server/engine/region.h"
 
@@ -89,6 +91,9 @@ struct MapInfo {
   absl::Time update_time;
 };
 
+/// Counts by level of detail and label.
+using LevelCounts = std::array<core::LabelCounts, core::kMaxDepth + 1>;
+
 /// Counts and sizes of a map. Raw points, tiles and bytes are those of
 /// `revision`, the rest those of `processed_revision`.
 struct MapStats {
@@ -102,6 +107,8 @@ struct MapStats {
   int64_t point_count = 0;
   /// point_count by label.
   core::LabelCounts label_counts{};
+  /// The same of each level of detail; level 0 is label_counts.
+  LevelCounts level_counts{};
   /// Survivors of the filter that are outliers.
   int64_t outlier_count = 0;
   /// Bytes of all blobs of the revision.
@@ -273,6 +280,9 @@ struct ProcessReport {
   int64_t point_count = 0;
   /// point_count by label.
   core::LabelCounts label_counts{};
+  /// What a query of each level of detail returns, by label; level 0 is
+  /// label_counts.
+  LevelCounts level_counts{};
   /// Survivors of the filter that are outliers.
   int64_t outlier_count = 0;
   /// Of the runs that made the result, the most rounds.

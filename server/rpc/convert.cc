@@ -342,6 +342,9 @@ v1::MapStats ToProto(std::string_view map_id, const engine::MapStats& stats) {
   result.set_raw_point_count(stats.raw_point_count);
   result.set_point_count(stats.point_count);
   *result.mutable_label_counts() = ToProto(stats.label_counts);
+  for (const core::LabelCounts& counts : stats.level_counts) {
+    *result.add_level_counts() = ToProto(counts);
+  }
   result.set_outlier_count(stats.outlier_count);
   result.set_stored_bytes(stats.stored_bytes);
   result.set_tile_count(stats.tile_count);

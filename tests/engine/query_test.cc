@@ -40,9 +40,12 @@ class RegionQueryTest : public ::testing::Test {
     workshop_ = new Workshop(12);
     MAPSIEVE_ASSERT_OK(
         workshop_->Add(*scene_, IngestLimits::Of(int64_t{32} << 20)));
-    MAPSIEVE_ASSERT_OK(workshop_->Process(options, kProcessLimits));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport report,
+                                  workshop_->Process(options, kProcessLimits));
+    report_ = new ProcessReport(report);
   }
   static void TearDownTestSuite() {
+    delete report_;
     delete workshop_;
     delete expected_;
     delete scene_;
@@ -68,10 +71,12 @@ class RegionQueryTest : public ::testing::Test {
   static LatticeCloud* scene_;
   static LatticeCloud* expected_;
   static Workshop* workshop_;
+  static ProcessReport* report_;
 };
 LatticeCloud* RegionQueryTest::scene_ = nullptr;
 LatticeCloud* RegionQueryTest::expected_ = nullptr;
 Workshop* RegionQueryTest::workshop_ = nullptr;
+ProcessReport* RegionQueryTest::report_ = nullptr;
 
 TEST_F(RegionQueryTest, BoxGivesThePointsInside) {
   // The ends are tile faces, lattice coordinates, and between them.
@@ -197,6 +202,8 @@ TEST_F(RegionQueryTest, ALevelIsWhatTheDepthsInMemorySay) {
     if (depth <= 3) {
       EXPECT_LT(answer.header.candidate_point_count, finer_candidates);
     }
+    EXPECT_EQ(report_->level_counts[static_cast<size_t>(depth)],
+              answer.summary.label_counts);
     finer_count = answer.summary.point_count;
     finer_candidates = answer.header.candidate_point_count;
     // The level with this spacing, and not the next.

@@ -110,6 +110,7 @@ TEST_P(UpdateTest, GivesTheBytesOfAMapBuiltFromTheSamePoints) {
     EXPECT_GT(report.updated_tile_count, 0);
     EXPECT_EQ(report.distinct_point_count, expected.distinct_point_count);
     EXPECT_EQ(report.label_counts, expected.label_counts);
+    EXPECT_EQ(report.level_counts, expected.level_counts);
     EXPECT_EQ(report.outlier_count, expected.outlier_count);
     for (const ChunkKind kind : {ChunkKind::kProduct, ChunkKind::kHistory}) {
       EXPECT_EQ(ContentsOf(edited, kind), ContentsOf(scratch, kind));
