@@ -1,11 +1,13 @@
 #include "server/engine/chunk_reader.h"
 
+#include <algorithm>
 #include <cstddef>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/base/status.h"
-#include "core/cloud/merge_duplicates.h"
+#include "core/geometry/morton.h"
 
 namespace mapsieve::engine {
 
@@ -33,15 +35,36 @@ absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
   MAPSIEVE_ASSIGN_OR_RETURN(
       const std::vector<storage::ChunkRef> chunks,
       snapshot.ListTileChunks(storage::ChunkKind::kRaw, tile));
+  const auto less = [](const core::LatticePoint& a,
+                       const core::LatticePoint& b) {
+    return core::MortonLess(a, b);
+  };
   std::vector<core::LatticePoint> points;
   for (const storage::ChunkRef& chunk : chunks) {
     MAPSIEVE_ASSIGN_OR_RETURN(
-        const core::LatticeCloud cloud,
+        core::LatticeCloud cloud,
         ReadPoints(snapshot, chunk,
                    {.attributes = std::vector<std::string>()}));
-    points.insert(points.end(), cloud.positions.begin(), cloud.positions.end());
+    std::vector<core::LatticePoint>& part = cloud.positions;
+    if (!std::is_sorted(part.begin(), part.end(), less)) {
+      return absl::DataLossError(
+          absl::StrCat("blob ", chunk.blob_id, " of tile ", tile.ToString(),
+                       ": its points are not in Morton order"));
+    }
+    if (points.empty()) {
+      points = std::move(part);
+      continue;
+    }
+    const auto middle = static_cast<ptrdiff_t>(points.size());
+    points.insert(points.end(), part.begin(), part.end());
+    if (less(points[static_cast<size_t>(middle)],
+             points[static_cast<size_t>(middle) - 1])) {
+      std::inplace_merge(points.begin(), points.begin() + middle, points.end(),
+                         less);
+    }
   }
-  return core::DistinctPoints(points);
+  points.erase(std::unique(points.begin(), points.end()), points.end());
+  return points;
 }
 
 }  // namespace mapsieve::engine

@@ -445,7 +445,8 @@ class LocalEngine final : public Engine {
     }
     MAPSIEVE_RETURN_IF_ERROR(
         spec.options.Validate(core::Lattice(map.spec.step_nm)));
-    if (snapshot->revision().totals.raw_point_count == 0) {
+    if (snapshot->revision().totals.raw_point_count == 0 &&
+        snapshot->revision().processed_revision == 0) {
       return absl::FailedPreconditionError(absl::StrCat(
           "map ", map_id, " has no points; upload some and finalize them"));
     }

@@ -355,7 +355,8 @@ absl::StatusOr<ProcessReport> ProcessStoredMap(
     return absl::NotFoundError(
         absl::StrCat("map ", map_id, " is another one than at the request"));
   }
-  if (base.totals.raw_point_count == 0) {
+  // A map that lost all its points has an empty result.
+  if (base.totals.raw_point_count == 0 && base.processed_revision == 0) {
     return absl::FailedPreconditionError(absl::StrCat(
         "map ", map_id, " has no points; upload some and finalize them"));
   }

@@ -1,6 +1,8 @@
 #include "server/engine/stored_tiles.h"
 
 #include <algorithm>
+#include <array>
+#include <cstring>
 #include <optional>
 #include <string>
 #include <utility>
@@ -25,6 +27,9 @@ constexpr int64_t kPageSize = 1000;
 /// More tiles are not written at once: their bookkeeping is not counted.
 constexpr size_t kMaxPendingTiles = 64;
 constexpr size_t kConfidenceCount = 65536;
+
+/// Of a point from its tile's corner, as scratch files hold them.
+using Offsets = std::array<int32_t, 3>;
 
 std::string StateName(const CellKey& key, core::TileStateKind kind) {
   return std::to_string(static_cast<int>(kind)) + "-" + key.ToString();
@@ -112,8 +117,25 @@ absl::Status StoredTiles::ReadTileList() {
   }
 }
 
+/// A tile is visited many times: its points are kept in a scratch file, ready
+/// to be used, after the first.
 absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
                                                 std::span<LatticePoint> room) {
+  const std::string name = "points-" + key.ToString();
+  const LatticePoint corner = key.corner();
+  const auto kept = scratch_.Read(name);
+  if (kept.ok()) {
+    const size_t count = std::min(kept->size() / sizeof(Offsets), room.size());
+    for (size_t i = 0; i < count; ++i) {
+      Offsets offsets;
+      std::memcpy(&offsets, kept->data() + i * sizeof(Offsets),
+                  sizeof(Offsets));
+      room[i] = {corner.x + offsets[0], corner.y + offsets[1],
+                 corner.z + offsets[2]};
+    }
+    return static_cast<int64_t>(count);
+  }
+  if (!absl::IsNotFound(kept.status())) return kept.status();
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> points,
                             ReadDistinctPoints(snapshot_, key));
   if (points.size() > room.size()) {
@@ -121,6 +143,15 @@ absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
         absl::StrCat("tile ", key.ToString(), ": expected up to ", room.size(),
                      " points in its raw chunks, found ", points.size()));
   }
+  std::vector<Offsets> offsets;
+  offsets.reserve(points.size());
+  for (const LatticePoint& q : points) {
+    offsets.push_back({static_cast<int32_t>(q.x - corner.x),
+                       static_cast<int32_t>(q.y - corner.y),
+                       static_cast<int32_t>(q.z - corner.z)});
+  }
+  MAPSIEVE_RETURN_IF_ERROR(
+      scratch_.Write(name, std::as_bytes(std::span(offsets))));
   std::copy(points.begin(), points.end(), room.begin());
   return static_cast<int64_t>(points.size());
 }

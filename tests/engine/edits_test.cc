@@ -82,6 +82,20 @@ void ExpectRaw(Workshop& workshop, const LatticeCloud& expected) {
   ExpectSameCloud(InCanonicalOrder(raw.points), InCanonicalOrder(expected));
 }
 
+TEST(DeleteRegion, OfAllPointsMakesAnEmptyResult) {
+  Workshop workshop(11);
+  MAPSIEVE_ASSERT_OK(workshop.Add(MakeScene(57), kLimits));
+  MAPSIEVE_ASSERT_OK(workshop.Process({}, kProcessLimits));
+  MAPSIEVE_ASSERT_OK(
+      workshop.Delete(Box{{-100, -100, -100}, {100, 100, 100}}, kLimits));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport report,
+                                workshop.Process({}, kProcessLimits));
+  EXPECT_EQ(report.distinct_point_count, 0);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer, workshop.Query({}));
+  EXPECT_EQ(answer.points.size(), 0U);
+  EXPECT_EQ(answer.header.revision, report.revision);
+}
+
 TEST(DeleteRegion, ThenProcessingIsAMapOfTheRest) {
   const LatticeCloud scene = MakeScene(51);
   const core::SpdfOptions options = SceneOptions(DensityRule::kPaper);
