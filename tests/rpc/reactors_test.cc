@@ -60,7 +60,13 @@ class MockEngine : public engine::Engine {
   MOCK_METHOD(absl::Status, DeleteUpload, (Id, Id), (override));
   MOCK_METHOD(Or<std::unique_ptr<engine::UploadWriter>>, OpenUploadWriter,
               (Id, Id), (override));
-  MOCK_METHOD(Or<engine::Operation>, FinalizeUpload, (Id, Id), (override));
+  MOCK_METHOD(Or<engine::Operation>, FinalizeUpload,
+              (Id, Id, const std::optional<engine::RegionShape>&), (override));
+  MOCK_METHOD(Or<engine::Operation>, DeleteRegion,
+              (Id, const engine::RegionShape&), (override));
+  MOCK_METHOD(Or<engine::RevisionInfo>, RollBack, (Id, int64_t), (override));
+  MOCK_METHOD(Or<engine::RevisionComparison>, CompareRevisions,
+              (Id, int64_t, int64_t, const engine::PageRequest&), (override));
   MOCK_METHOD(Or<engine::Operation>, ProcessMap,
               (Id, const std::optional<core::SpdfOptions>&), (override));
   MOCK_METHOD(Or<engine::Operation>, GetOperation, (Id), (override));
