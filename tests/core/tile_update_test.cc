@@ -172,7 +172,7 @@ TEST_P(UpdateTilesTest, GivesWhatFilteringFromScratchGives) {
   MAPSIEVE_ASSERT_OK(FilterTiles(map, lattice, options, tiling, {}));
   size_t emitted = 0;
   size_t tiles = 0;
-  for (int edit = 0; edit < 12; ++edit) {
+  for (int edit = 0; edit < 6; ++edit) {
     SCOPED_TRACE(edit);
     points = Edited(std::move(points), random);
     map.ForgetStates();
