@@ -167,12 +167,12 @@ TEST_P(UpdateTilesTest, GivesWhatFilteringFromScratchGives) {
   std::mt19937_64 random(91);
   FilteredMap map(c.level);
   std::vector<LatticePoint> points =
-      DistinctPoints(clouds::SceneCloud(8000, 1.5, 90).positions);
+      DistinctPoints(clouds::SceneCloud(6000, 1.5, 90).positions);
   map.SetPoints(points);
   MAPSIEVE_ASSERT_OK(FilterTiles(map, lattice, options, tiling, {}));
   size_t emitted = 0;
   size_t tiles = 0;
-  for (int edit = 0; edit < 6; ++edit) {
+  for (int edit = 0; edit < 4; ++edit) {
     SCOPED_TRACE(edit);
     points = Edited(std::move(points), random);
     map.ForgetStates();

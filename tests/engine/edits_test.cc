@@ -380,7 +380,7 @@ TEST(RollBack, AnswersAsTheRevisionThatItRestored) {
   const core::SpdfOptions paper = SceneOptions(DensityRule::kPaper);
   const core::SpdfOptions quota = SceneOptions(DensityRule::kQuota);
   Service service;
-  MAPSIEVE_ASSERT_OK(service->CreateMap({.map_id = "map", .tile_edge = 2}));
+  MAPSIEVE_ASSERT_OK(service->CreateMap({.map_id = "map", .tile_edge = 4}));
   std::map<int64_t, MapStats> stats;
   const auto remember = [&] {
     const auto now = service->GetMapStats("map");
