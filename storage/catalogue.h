@@ -99,9 +99,8 @@ class Catalogue {
   /// revision is `number` or a rollback to it, nothing is made and that one is
   /// returned. kNotFound: the map (or it is deleted); kOutOfRange: the
   /// revision. Cost: all references that the map ever had.
-  virtual absl::StatusOr<RevisionRecord> RollBack(
-      const std::string& map_uid, int64_t number,
-      const std::string& description) = 0;
+  virtual absl::StatusOr<RevisionRecord> RollBack(const std::string& map_uid,
+                                                  int64_t number) = 0;
   /// kNotFound: the map; kOutOfRange: the revision.
   virtual absl::StatusOr<RevisionRecord> GetRevision(const std::string& map_uid,
                                                      int64_t number) const = 0;

@@ -63,8 +63,7 @@ absl::StatusOr<RevisionRecord> Commit(SqliteDatabase& database,
 
 absl::StatusOr<RevisionRecord> RollBackTo(SqliteDatabase& database,
                                           const std::string& map_uid,
-                                          int64_t number,
-                                          const std::string& description) {
+                                          int64_t number) {
   MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map, ReadLivingMap(database, map_uid));
   MAPSIEVE_ASSIGN_OR_RETURN(const RevisionRecord target,
                             ReadRevision(database, map, number));
@@ -86,7 +85,6 @@ absl::StatusOr<RevisionRecord> RollBackTo(SqliteDatabase& database,
       .parent = newest.number,
       .create_time = TimeOfTables(),
       .spec = {.kind = RevisionKind::kRollback,
-               .description = description,
                .attributes = target.spec.attributes},
       .totals = target.totals,
       .processed_revision = target.processed_revision,
@@ -186,11 +184,9 @@ class SqliteCatalogue final : public Catalogue, private Connections {
     return Write(
         [&](auto& db) { return Commit(db, map_uid, expected_parent, change); });
   }
-  absl::StatusOr<RevisionRecord> RollBack(
-      const std::string& map_uid, int64_t number,
-      const std::string& description) override {
-    return Write(
-        [&](auto& db) { return RollBackTo(db, map_uid, number, description); });
+  absl::StatusOr<RevisionRecord> RollBack(const std::string& map_uid,
+                                          int64_t number) override {
+    return Write([&](auto& db) { return RollBackTo(db, map_uid, number); });
   }
   absl::StatusOr<RevisionRecord> GetRevision(const std::string& map_uid,
                                              int64_t number) const override {

@@ -56,8 +56,9 @@ absl::StatusOr<core::LatticeCloud> UnderBudget(
     const core::LatticeCloud& cloud, const core::FilteredCloud& filtered,
     const SampleCommand& command) {
   std::vector<core::LatticePoint> positions;
-  for (const uint32_t row : filtered.rows)
+  for (const uint32_t row : filtered.rows) {
     positions.push_back(cloud.positions[row]);
+  }
   MAPSIEVE_ASSIGN_OR_RETURN(
       const core::BudgetSample sample,
       core::SampleUnderBudget(positions, filtered.columns.label,

@@ -51,8 +51,7 @@ class PointTiles {
 
   /// Writes the distinct points of a tile in Morton order, the same at each
   /// call, to `room`, which is as large as the tile's point_count. Returns how
-  /// many they are.
-  /// Called from several threads at once.
+  /// many they are. Called from several threads at once.
   virtual absl::StatusOr<int64_t> LoadPoints(const CellKey& key,
                                              std::span<LatticePoint> room) = 0;
 };

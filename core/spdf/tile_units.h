@@ -24,7 +24,7 @@ namespace mapsieve::core {
 
 /// One tile's part of a loaded unit.
 struct LoadedTile {
-  /// Its number in TileUnits::tiles.
+  /// Its number in PointUnits::tiles.
   size_t tile = 0;
   bool is_core = false;
   /// The tile's points in the unit: [begin, end).

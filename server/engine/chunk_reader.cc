@@ -30,6 +30,14 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
   return points;
 }
 
+std::vector<storage::BlobId> ContentsOf(
+    std::span<const storage::ChunkRef> chunks) {
+  std::vector<storage::BlobId> blobs;
+  for (const storage::ChunkRef& chunk : chunks) blobs.push_back(chunk.blob_id);
+  std::sort(blobs.begin(), blobs.end());
+  return blobs;
+}
+
 absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
     const storage::ReadSnapshot& snapshot, const core::CellKey& tile) {
   MAPSIEVE_ASSIGN_OR_RETURN(

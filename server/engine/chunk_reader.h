@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_SERVER_ENGINE_CHUNK_READER_H_
 #define MAPSIEVE_SERVER_ENGINE_CHUNK_READER_H_
 
+#include <span>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -15,6 +16,11 @@ namespace mapsieve::engine {
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options = {});
+
+/// The contents of chunks, whatever their order and numbers: equal lists hold
+/// the same.
+std::vector<storage::BlobId> ContentsOf(
+    std::span<const storage::ChunkRef> chunks);
 
 /// The distinct raw points of a tile in Morton order. Errors of ReadPoints.
 absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(

@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_SERVER_ENGINE_CHUNK_WRITER_H_
 #define MAPSIEVE_SERVER_ENGINE_CHUNK_WRITER_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <vector>
@@ -13,6 +14,10 @@
 #include "storage/store.h"
 
 namespace mapsieve::engine {
+
+/// More tiles are not collected to be written at once: their bookkeeping is
+/// not counted.
+inline constexpr size_t kMaxPendingTiles = 64;
 
 /// Points of one tile.
 struct TileCloud {

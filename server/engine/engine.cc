@@ -318,9 +318,8 @@ class LocalEngine final : public Engine {
                        " has an operation that is not done; wait for it or "
                        "cancel it"));
     }
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const storage::RevisionRecord record,
-        catalogue().RollBack(map.uid, revision, /*description=*/""));
+    MAPSIEVE_ASSIGN_OR_RETURN(const storage::RevisionRecord record,
+                              catalogue().RollBack(map.uid, revision));
     return DescribeRevision(catalogue(), map.uid, record);
   }
 

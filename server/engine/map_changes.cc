@@ -1,9 +1,6 @@
 #include "server/engine/map_changes.h"
 
-#include <algorithm>
 #include <optional>
-#include <string>
-#include <utility>
 
 #include "core/base/status.h"
 #include "core/geometry/morton.h"
@@ -15,18 +12,6 @@ namespace {
 using core::CellKey;
 using core::LatticeBox;
 using core::LatticePoint;
-
-/// The contents of a tile's raw chunks, whatever their order.
-absl::StatusOr<std::vector<storage::BlobId>> BlobsOf(
-    const storage::ReadSnapshot& snapshot, const CellKey& tile) {
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const std::vector<storage::ChunkRef> chunks,
-      snapshot.ListTileChunks(storage::ChunkKind::kRaw, tile));
-  std::vector<storage::BlobId> blobs;
-  for (const storage::ChunkRef& chunk : chunks) blobs.push_back(chunk.blob_id);
-  std::sort(blobs.begin(), blobs.end());
-  return blobs;
-}
 
 absl::StatusOr<std::vector<CellKey>> TilesWithOtherChunks(
     const storage::Catalogue& catalogue, const storage::ReadSnapshot& before,
@@ -42,9 +27,15 @@ absl::StatusOr<std::vector<CellKey>> TilesWithOtherChunks(
                                    storage::ChunkKind::kRaw, after, kPageSize));
     if (page.empty()) return tiles;
     for (const CellKey& tile : page) {
-      MAPSIEVE_ASSIGN_OR_RETURN(const auto old_blobs, BlobsOf(before, tile));
-      MAPSIEVE_ASSIGN_OR_RETURN(const auto new_blobs, BlobsOf(now, tile));
-      if (old_blobs != new_blobs) tiles.push_back(tile);
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          const auto old_chunks,
+          before.ListTileChunks(storage::ChunkKind::kRaw, tile));
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          const auto new_chunks,
+          now.ListTileChunks(storage::ChunkKind::kRaw, tile));
+      if (ContentsOf(old_chunks) != ContentsOf(new_chunks)) {
+        tiles.push_back(tile);
+      }
     }
     after = page.back();
   }

@@ -15,6 +15,8 @@
 #include "core/spdf/tile_filter.h"
 #include "core/spdf/tile_update.h"
 #include "server/engine/chunk_reader.h"
+#include "server/engine/chunk_walk.h"
+#include "server/engine/confidence_histogram.h"
 #include "server/engine/map_changes.h"
 #include "server/engine/opaque_records.h"
 #include "server/engine/product_chunk.h"
@@ -55,15 +57,12 @@ struct Previous {
 absl::Status ForEachChunk(
     const ReadSnapshot& snapshot, ChunkKind kind,
     const std::function<absl::Status(const ChunkRef&)>& use) {
-  constexpr int64_t kPageSize = 1000;
-  std::optional<storage::ChunkPosition> after;
+  const std::optional<Region> everywhere;
+  ChunkWalk walk(snapshot, kind, everywhere);
   while (true) {
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const std::vector<ChunkRef> page,
-        snapshot.ListChunks(kind, std::nullopt, after, kPageSize));
-    if (page.empty()) return absl::OkStatus();
-    for (const ChunkRef& chunk : page) MAPSIEVE_RETURN_IF_ERROR(use(chunk));
-    after = {page.back().tile, page.back().number};
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::optional<ChunkRef> chunk, walk.Next());
+    if (!chunk.has_value()) return absl::OkStatus();
+    MAPSIEVE_RETURN_IF_ERROR(use(*chunk));
   }
 }
 
@@ -76,20 +75,60 @@ absl::Status CountConfidences(const ReadSnapshot& snapshot,
                                        {.attributes = std::vector<std::string>{
                                             std::string(kLabelColumn),
                                             std::string(kConfidenceColumn)}}));
-  MAPSIEVE_RETURN_IF_ERROR(CountLabels(points).status());
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const core::Column* const labels,
-      FindProductColumn(points, kLabelColumn, core::ScalarType::kUint8));
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const core::Column* const confidences,
-      FindProductColumn(points, kConfidenceColumn, core::ScalarType::kUint16));
+  MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView labels,
+                            LabelColumnView::Of(points));
   for (size_t i = 0; i < points.size(); ++i) {
-    histogram.Add(static_cast<core::Label>(labels->Get<uint8_t>(i)),
-                  confidences->Get<uint16_t>(i));
+    histogram.Add(labels.label(i), labels.confidence(i));
   }
   return absl::OkStatus();
 }
 
+/// Tells the progress of the filter and of the levels of detail after it as
+/// that of one piece of work, in visits of tiles: the levels take about a
+/// quarter of the filter's time.
+class RunProgress {
+ public:
+  explicit RunProgress(ProgressSink* sink)
+      : filter_(*this, &RunProgress::ReportFilter),
+        levels_(*this, &RunProgress::ReportLevels),
+        sink_(sink) {}
+
+  ProgressSink* filter() { return &filter_; }
+  ProgressSink* levels() { return &levels_; }
+
+ private:
+  class Part final : public ProgressSink {
+   public:
+    using Method = void (RunProgress::*)(int64_t done, int64_t total);
+    Part(RunProgress& whole, Method report) : whole_(whole), report_(report) {}
+    void Report(int64_t done, int64_t total) override {
+      (whole_.*report_)(done, total);
+    }
+
+   private:
+    RunProgress& whole_;
+    const Method report_;
+  };
+
+  void ReportFilter(int64_t done, int64_t total) {
+    filter_total_ = total;
+    Send(done);
+  }
+  void ReportLevels(int64_t done, int64_t total) {
+    Send(filter_total_ + LevelsTotal() * done / total);
+  }
+  int64_t LevelsTotal() const { return filter_total_ / 4; }
+  void Send(int64_t done) const {
+    if (sink_ != nullptr) sink_->Report(done, filter_total_ + LevelsTotal());
+  }
+
+  Part filter_;
+  Part levels_;
+  ProgressSink* const sink_;
+  int64_t filter_total_ = 0;
+};
+
+/// One run of the filter over a stored revision.
 class MapRun {
  public:
   MapRun(storage::Store& store, const ReadSnapshot& snapshot,
@@ -100,7 +139,10 @@ class MapRun {
         options_(options),
         limits_(limits),
         io_(io),
-        context_(context),
+        progress_(context.progress),
+        context_{.executor = context.executor,
+                 .stop = context.stop,
+                 .progress = progress_.filter()},
         lattice_(snapshot.map().spec.step_nm),
         tiling_{.max_unit_points = limits.unit_points} {}
 
@@ -282,11 +324,11 @@ class MapRun {
                                        storage::RevisionChange change) {
     levels_->LeaveOut(
         core::OutlierTest(totals.max_confidence, options_.outlier_share));
-    // The work reported is the filter's.
     MAPSIEVE_RETURN_IF_ERROR(
-        core::ComputeDepths(
-            *levels_, lattice_, options_, tiling_,
-            {.executor = context_.executor, .stop = context_.stop})
+        core::ComputeDepths(*levels_, lattice_, options_, tiling_,
+                            {.executor = context_.executor,
+                             .stop = context_.stop,
+                             .progress = progress_.levels()})
             .status());
     MAPSIEVE_RETURN_IF_ERROR(levels_->Flush());
     MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
@@ -326,7 +368,8 @@ class MapRun {
   const core::SpdfOptions& options_;
   const ProcessLimits& limits_;
   Executor& io_;
-  const ExecutionContext& context_;
+  RunProgress progress_;
+  const ExecutionContext context_;
   const core::Lattice lattice_;
   const core::TilingOptions tiling_;
   std::unique_ptr<storage::Scratch> scratch_;

@@ -112,6 +112,18 @@ absl::StatusOr<const Column*> FindProductColumn(const LatticeCloud& points,
   return column;
 }
 
+absl::StatusOr<LabelColumnView> LabelColumnView::Of(
+    const LatticeCloud& points) {
+  MAPSIEVE_RETURN_IF_ERROR(CountLabels(points).status());
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Column* const label,
+      FindProductColumn(points, kLabelColumn, ScalarType::kUint8));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Column* const confidence,
+      FindProductColumn(points, kConfidenceColumn, ScalarType::kUint16));
+  return LabelColumnView(*label, *confidence);
+}
+
 absl::StatusOr<core::LabelCounts> CountLabels(const LatticeCloud& points) {
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Column* const column,

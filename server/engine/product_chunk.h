@@ -63,6 +63,25 @@ absl::StatusOr<const core::Column*> FindProductColumn(
     const core::LatticeCloud& points, std::string_view name,
     core::ScalarType type);
 
+/// Labels and confidences of product points, which outlive it.
+class LabelColumnView {
+ public:
+  /// kDataLoss: a column is missing, or a number in it is no label.
+  static absl::StatusOr<LabelColumnView> Of(const core::LatticeCloud& points);
+
+  core::Label label(size_t i) const {
+    return static_cast<core::Label>(label_->Get<uint8_t>(i));
+  }
+  uint16_t confidence(size_t i) const { return confidence_->Get<uint16_t>(i); }
+
+ private:
+  LabelColumnView(const core::Column& label, const core::Column& confidence)
+      : label_(&label), confidence_(&confidence) {}
+
+  const core::Column* label_;
+  const core::Column* confidence_;
+};
+
 /// How many of the product points have each label. kDataLoss: no label column,
 /// or a number in it that is no label.
 absl::StatusOr<core::LabelCounts> CountLabels(const core::LatticeCloud& points);

@@ -17,9 +17,6 @@ using core::LatticeCloud;
 using core::LatticePoint;
 using storage::ChunkRef;
 
-/// More tiles are not written at once: their bookkeeping is not counted.
-constexpr size_t kMaxPendingTiles = 64;
-
 std::string ProductName(const CellKey& tile) {
   return "product-" + tile.ToString();
 }
@@ -126,18 +123,13 @@ absl::Status ProductLevels::StorePoints(int level, const CellKey& cell,
 /// Of one tile.
 absl::StatusOr<LevelCounts> ProductLevels::CountLevels(
     const LatticeCloud& points, std::span<const uint8_t> depths) const {
-  MAPSIEVE_RETURN_IF_ERROR(CountLabels(points).status());
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const core::Column* const labels,
-      FindProductColumn(points, kLabelColumn, core::ScalarType::kUint8));
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const core::Column* const confidences,
-      FindProductColumn(points, kConfidenceColumn, core::ScalarType::kUint16));
+  MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView labels,
+                            LabelColumnView::Of(points));
   LevelCounts counts{};
   for (size_t i = 0; i < points.size(); ++i) {
-    const auto label = static_cast<core::Label>(labels->Get<uint8_t>(i));
+    const core::Label label = labels.label(i);
     if (outliers_.has_value() &&
-        !outliers_->Keeps(label, confidences->Get<uint16_t>(i))) {
+        !outliers_->Keeps(label, labels.confidence(i))) {
       continue;
     }
     for (size_t level = 0; level <= depths[i]; ++level) {

@@ -72,17 +72,10 @@ struct PointFilter {
     std::vector<Label> labels;
   };
   absl::StatusOr<Passed> Select(const LatticeCloud& chunk) const {
-    const Column* label_column = nullptr;
-    const Column* confidence_column = nullptr;
+    std::optional<LabelColumnView> columns;
     std::vector<uint8_t> depths;
     if (outliers.has_value()) {
-      MAPSIEVE_RETURN_IF_ERROR(CountLabels(chunk).status());
-      MAPSIEVE_ASSIGN_OR_RETURN(
-          label_column,
-          FindProductColumn(chunk, kLabelColumn, core::ScalarType::kUint8));
-      MAPSIEVE_ASSIGN_OR_RETURN(confidence_column,
-                                FindProductColumn(chunk, kConfidenceColumn,
-                                                  core::ScalarType::kUint16));
+      MAPSIEVE_ASSIGN_OR_RETURN(columns, LabelColumnView::Of(chunk));
       if (min_depth > 0) {
         MAPSIEVE_ASSIGN_OR_RETURN(depths, DepthsOf(chunk));
       }
@@ -91,9 +84,9 @@ struct PointFilter {
     for (uint32_t row = 0; row < chunk.size(); ++row) {
       Label label = Label::kNone;
       if (outliers.has_value()) {
-        label = static_cast<Label>(label_column->Get<uint8_t>(row));
+        label = columns->label(row);
         if (!labels[static_cast<size_t>(label)] ||
-            !outliers->Keeps(label, confidence_column->Get<uint16_t>(row))) {
+            !outliers->Keeps(label, columns->confidence(row))) {
           continue;
         }
         if (min_depth > 0 && depths[row] < min_depth) continue;

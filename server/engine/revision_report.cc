@@ -8,6 +8,7 @@
 
 #include "core/base/status.h"
 #include "core/geometry/cell_key.h"
+#include "server/engine/chunk_reader.h"
 #include "server/engine/opaque_records.h"
 #include "storage/names.h"
 
@@ -43,13 +44,7 @@ struct TwoChunkLists {
   std::vector<ChunkRef> target;
 
   TileChangeKind Compare() const {
-    const auto blobs = [](const std::vector<ChunkRef>& chunks) {
-      std::vector<storage::BlobId> ids;
-      for (const ChunkRef& chunk : chunks) ids.push_back(chunk.blob_id);
-      std::sort(ids.begin(), ids.end());
-      return ids;
-    };
-    if (blobs(base) == blobs(target)) return TileChangeKind::kNone;
+    if (ContentsOf(base) == ContentsOf(target)) return TileChangeKind::kNone;
     if (base.empty()) return TileChangeKind::kAdded;
     if (target.empty()) return TileChangeKind::kRemoved;
     return TileChangeKind::kChanged;

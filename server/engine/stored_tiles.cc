@@ -24,9 +24,6 @@ using storage::ChunkRef;
 
 /// Catalogue rows read at a time.
 constexpr int64_t kPageSize = 1000;
-/// More tiles are not written at once: their bookkeeping is not counted.
-constexpr size_t kMaxPendingTiles = 64;
-constexpr size_t kConfidenceCount = 65536;
 
 /// Of a point from its tile's corner, as scratch files hold them.
 using Offsets = std::array<int32_t, 3>;
@@ -50,33 +47,6 @@ void ForEachCommon(std::span<const LatticePoint> a,
 
 }  // namespace
 
-ConfidenceHistogram::ConfidenceHistogram() {
-  for (std::vector<int64_t>& counts : counts_) counts.resize(kConfidenceCount);
-}
-
-core::LabelCounts ConfidenceHistogram::CountKept(
-    const core::OutlierTest& test) const {
-  core::LabelCounts kept{};
-  for (size_t l = 0; l < core::kLabelCount; ++l) {
-    for (size_t c = 0; c < kConfidenceCount; ++c) {
-      if (test.Keeps(static_cast<core::Label>(l), static_cast<uint16_t>(c))) {
-        kept[l] += counts_[l][c];
-      }
-    }
-  }
-  return kept;
-}
-
-core::MaxConfidence ConfidenceHistogram::MaxConfidences() const {
-  core::MaxConfidence largest{};
-  for (size_t l = 0; l < core::kLabelCount; ++l) {
-    for (size_t c = 0; c < kConfidenceCount; ++c) {
-      if (counts_[l][c] > 0) largest[l] = static_cast<uint16_t>(c);
-    }
-  }
-  return largest;
-}
-
 StoredTiles::StoredTiles(storage::Store& store,
                          const storage::ReadSnapshot& snapshot,
                          const storage::ReadSnapshot* previous,
@@ -89,6 +59,7 @@ StoredTiles::StoredTiles(storage::Store& store,
       products_(products),
       history_(store),
       point_bytes_(ProductPointBytes(snapshot.revision().spec.attributes)) {}
+
 absl::StatusOr<std::unique_ptr<StoredTiles>> StoredTiles::Open(
     storage::Store& store, const storage::ReadSnapshot& snapshot,
     const storage::ReadSnapshot* previous,

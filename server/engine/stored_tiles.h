@@ -16,27 +16,12 @@
 #include "core/spdf/labels.h"
 #include "core/spdf/tile_filter.h"
 #include "core/spdf/tile_update.h"
+#include "server/engine/confidence_histogram.h"
 #include "server/engine/death_history.h"
 #include "server/engine/product_levels.h"
 #include "storage/store.h"
 
 namespace mapsieve::engine {
-
-/// Counts of points by label and confidence.
-class ConfidenceHistogram {
- public:
-  ConfidenceHistogram();
-  void Add(core::Label label, uint16_t confidence) {
-    ++counts_[static_cast<size_t>(label)][confidence];
-  }
-  /// Points of each label that are no outliers.
-  core::LabelCounts CountKept(const core::OutlierTest& test) const;
-  /// 0 for a label without points.
-  core::MaxConfidence MaxConfidences() const;
-
- private:
-  std::array<std::vector<int64_t>, core::kLabelCount> counts_;
-};
 
 /// Tile by tile the raw points of a stored revision for the filter, and the
 /// filter's answer for ProductLevels and as history chunks. Memory: the raw

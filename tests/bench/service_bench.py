@@ -121,7 +121,7 @@ class Bench:
                 self.queries += 1
             except RuntimeError as error:
                 self.failures.append(str(error))
-            time.sleep(0.2)
+            self.stopping.wait(0.2)
 
     def run(self):
         points = self.arguments.points

@@ -583,7 +583,7 @@ TEST(CompareRevisions, TellsWhichTilesDiffer) {
   MAPSIEVE_ASSERT_OK(workshop.Delete(kBox, kLimits));
   MAPSIEVE_ASSERT_OK(workshop.Process(options, kProcessLimits));
   MAPSIEVE_ASSERT_OK(
-      workshop.store().catalogue().RollBack(workshop.map().uid, 4, ""));
+      workshop.store().catalogue().RollBack(workshop.map().uid, 4));
   size_t most = 0;
   for (int64_t base = 1; base <= 7; ++base) {
     for (int64_t target = 1; target <= 7; ++target) {

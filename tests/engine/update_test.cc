@@ -85,6 +85,12 @@ void Append(const LatticeCloud& part, LatticeCloud& all) {
                        part.positions.end());
 }
 
+void AddAndProcess(const LatticeCloud& points, const SpdfOptions& options,
+                   Workshop& workshop) {
+  MAPSIEVE_ASSERT_OK(workshop.Add(points, kIngest));
+  MAPSIEVE_ASSERT_OK(workshop.Process(options, kProcess));
+}
+
 class UpdateTest : public ::testing::TestWithParam<DensityRule> {};
 
 TEST_P(UpdateTest, GivesTheBytesOfAMapBuiltFromTheSamePoints) {
@@ -93,8 +99,7 @@ TEST_P(UpdateTest, GivesTheBytesOfAMapBuiltFromTheSamePoints) {
   std::mt19937_64 random(7);
   LatticeCloud all = MakeScene(11);
   Workshop edited(kTileLevel, 2);
-  MAPSIEVE_ASSERT_OK(edited.Add(all, kIngest));
-  MAPSIEVE_ASSERT_OK(edited.Process(options, kProcess));
+  AddAndProcess(all, options, edited);
   for (int edit = 0; edit < 2; ++edit) {
     SCOPED_TRACE(edit);
     const LatticeCloud clump = Clump(all, random);
@@ -136,8 +141,7 @@ TEST(Update, SharesTheChunksOfTilesOutOfReach) {
   std::mt19937_64 random(3);
   const LatticeCloud scene = MakeScene(12);
   Workshop workshop(10);
-  MAPSIEVE_ASSERT_OK(workshop.Add(scene, kIngest));
-  MAPSIEVE_ASSERT_OK(workshop.Process(options, kProcess));
+  AddAndProcess(scene, options, workshop);
   std::map<int64_t, core::CellKey> before;
   std::set<std::string> tiles;
   for (const ChunkRef& chunk : ChunksOf(workshop, ChunkKind::kProduct)) {
@@ -180,8 +184,7 @@ TEST(Update, ACancelledOneLeavesTheProductAsItWas) {
   std::mt19937_64 random(5);
   const LatticeCloud scene = MakeScene(14);
   Workshop workshop(10);
-  MAPSIEVE_ASSERT_OK(workshop.Add(scene, kIngest));
-  MAPSIEVE_ASSERT_OK(workshop.Process(options, kProcess));
+  AddAndProcess(scene, options, workshop);
   const Contents before = ContentsOf(workshop, ChunkKind::kProduct);
   MAPSIEVE_ASSERT_OK(workshop.Add(Clump(scene, random), kIngest));
   std::stop_source stop;

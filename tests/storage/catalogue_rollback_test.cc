@@ -134,8 +134,8 @@ TEST_P(CatalogueTest, ARollbackEqualsItsTargetAndLeavesEveryRevisionAsItWas) {
         const int64_t target = 1 + history.Draw(newest);
         MAPSIEVE_ASSERT_OK_AND_ASSIGN(const RevisionRecord before,
                                       catalogue_->GetRevision(map.uid, newest));
-        MAPSIEVE_ASSERT_OK_AND_ASSIGN(
-            made, catalogue_->RollBack(map.uid, target, "back"));
+        MAPSIEVE_ASSERT_OK_AND_ASSIGN(made,
+                                      catalogue_->RollBack(map.uid, target));
         if (target == newest || before.restored_revision == target) {
           ASSERT_EQ(made.number, newest);
           continue;
@@ -143,7 +143,7 @@ TEST_P(CatalogueTest, ARollbackEqualsItsTargetAndLeavesEveryRevisionAsItWas) {
         ++rollback_count;
         next = model[static_cast<size_t>(target)];
         EXPECT_EQ(made.spec.kind, RevisionKind::kRollback);
-        EXPECT_EQ(made.spec.description, "back");
+        EXPECT_EQ(made.spec.description, "");
         EXPECT_EQ(made.restored_revision, target);
         EXPECT_EQ(made.totals, next.totals);
       } else {
@@ -194,13 +194,13 @@ TEST_P(CatalogueTest, ARollbackToNoRevisionOrNoMapIsRefused) {
   const MapRecord map = MakeMap("campus");
   Commit(map, 1, Adding({}));
   for (const int64_t number : {-1, 0, 3}) {
-    EXPECT_THAT(catalogue_->RollBack(map.uid, number, ""),
+    EXPECT_THAT(catalogue_->RollBack(map.uid, number),
                 StatusIs(absl::StatusCode::kOutOfRange, HasSubstr("1 to 2")));
   }
-  EXPECT_THAT(catalogue_->RollBack("nobody", 1, ""),
+  EXPECT_THAT(catalogue_->RollBack("nobody", 1),
               StatusIs(absl::StatusCode::kNotFound, _));
   MAPSIEVE_ASSERT_OK(catalogue_->DeleteMap("campus"));
-  EXPECT_THAT(catalogue_->RollBack(map.uid, 1, ""),
+  EXPECT_THAT(catalogue_->RollBack(map.uid, 1),
               StatusIs(absl::StatusCode::kNotFound, _));
   RevisionChange change;
   change.spec.kind = RevisionKind::kRollback;
@@ -245,12 +245,12 @@ TEST_P(CatalogueTest, ARepeatedRollbackMakesNothing) {
   const MapRecord map = MakeMap("campus");
   const auto chunk = TestChunk(ChunkKind::kRaw, 0, 0, 0, "a", 1);
   Commit(map, 1, Adding({chunk}));
-  EXPECT_EQ(catalogue_->RollBack(map.uid, 2, "")->number, 2);
-  EXPECT_EQ(catalogue_->RollBack(map.uid, 1, "")->number, 3);
-  EXPECT_EQ(catalogue_->RollBack(map.uid, 1, "")->number, 3);
-  EXPECT_EQ(catalogue_->RollBack(map.uid, 3, "")->number, 3);
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 2)->number, 2);
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 1)->number, 3);
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 1)->number, 3);
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 3)->number, 3);
   EXPECT_THAT(Chunks(map, 3), IsEmpty());
-  EXPECT_EQ(catalogue_->RollBack(map.uid, 2, "")->number, 4);
+  EXPECT_EQ(catalogue_->RollBack(map.uid, 2)->number, 4);
   EXPECT_THAT(WithoutNumbers(Chunks(map, 4)), ElementsAre(chunk));
 }
 
@@ -268,7 +268,7 @@ TEST_P(CatalogueTest, AnUploadThatWasRolledBackBeginsAnew) {
   finalize(a, 1);
   const UploadRecord b = MakeUpload(map, "b");
   finalize(b, 2);
-  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 2, "").status());
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 2).status());
   EXPECT_EQ(MakeUpload(map, "a").uid, a.uid);
   const UploadRecord again = MakeUpload(map, "b");
   EXPECT_NE(again.uid, b.uid);
