@@ -21,17 +21,26 @@ std::string Plain(const Json& value) {
   return line;
 }
 
+std::string Title(std::string key) {
+  std::replace(key.begin(), key.end(), '_', ' ');
+  return key;
+}
+
 void PrintMembers(const Json& object) {
   size_t width = 0;
   for (const auto& [key, value] : object.items()) {
     width = std::max(width, key.size());
   }
   for (const auto& [key, value] : object.items()) {
-    std::string name = key;
-    std::replace(name.begin(), name.end(), '_', ' ');
-    std::printf("%-*s  %s\n", static_cast<int>(width), name.c_str(),
+    std::printf("%-*s  %s\n", static_cast<int>(width), Title(key).c_str(),
                 Plain(value).c_str());
   }
+}
+
+/// Whether a value is an object of so many members that they do not fit a line.
+bool IsLong(const Json& value) {
+  constexpr size_t kMaxMembersOfALine = 3;
+  return value.is_object() && value.size() > kMaxMembersOfALine;
 }
 
 }  // namespace
@@ -43,20 +52,39 @@ void PrintResult(bool as_json, const Json& result) {
         result.dump(2, ' ', false, Json::error_handler_t::replace).c_str());
     return;
   }
-  // A list of maps, of files, …: a block of lines each.
   Json members = Json::object();
-  Json blocks = Json::array();
   for (const auto& [key, value] : result.items()) {
-    if (value.is_array() && !value.empty() && value.front().is_object()) {
-      blocks.insert(blocks.end(), value.begin(), value.end());
-    } else {
-      members[key] = value;
-    }
+    const bool is_list =
+        value.is_array() && !value.empty() && value.front().is_object();
+    if (!is_list && !IsLong(value)) members[key] = value;
   }
   PrintMembers(members);
-  for (const Json& block : blocks) {
-    if (!members.empty() || &block != &blocks.front()) std::printf("\n");
-    PrintMembers(block);
+  bool is_first = members.empty();
+  const auto begin_block = [&is_first] {
+    if (!is_first) std::printf("\n");
+    is_first = false;
+  };
+  for (const auto& [key, value] : result.items()) {
+    if (members.contains(key)) continue;
+    if (value.is_array() && !IsLong(value.front())) {
+      begin_block();
+      std::printf("%s\n", Title(key).c_str());
+      for (size_t i = 0; i < value.size(); ++i) {
+        std::printf("%4zu  %s\n", i, Plain(value[i]).c_str());
+      }
+      continue;
+    }
+    if (value.is_object()) {
+      begin_block();
+      std::printf("%s\n", Title(key).c_str());
+      PrintMembers(value);
+      continue;
+    }
+    // A list of maps, of files, …: a block of lines each.
+    for (const Json& block : value) {
+      begin_block();
+      PrintMembers(block);
+    }
   }
 }
 

@@ -14,7 +14,8 @@ namespace mapsieve::client {
 using Json = nlohmann::ordered_json;
 
 /// Prints a command's result on stdout: the document with --json, else its
-/// members a line each, and those of lists of objects in blocks after them.
+/// members a line each, and after them a block for each object of many members,
+/// alone (titled) or in a list; lists of small ones are titled numbered lines.
 void PrintResult(bool as_json, const Json& result);
 
 /// {"junction": …, "curve": …, "surface": …}

@@ -1,5 +1,6 @@
 #include <chrono>
 #include <cmath>
+#include <cstdio>
 #include <fstream>
 #include <limits>
 #include <optional>
@@ -147,6 +148,12 @@ absl::StatusOr<Json> Process(MapClient& client, const std::string& map,
     report = client.WaitForProcess(operation, Show(bar));
   }
   MAPSIEVE_RETURN_IF_ERROR(report.status());
+  if (report->outlier_count > 9 * report->point_count) {
+    std::fprintf(stderr,
+                 "mapsieve: hint: nine of ten points were taken for outliers; "
+                 "where points lie far apart, choose a larger --rho, --sigma "
+                 "and --reach\n");
+  }
   return ProcessJson(map, *report, SecondsSince(start));
 }
 
