@@ -17,8 +17,10 @@ esac
 
 ./deploy/install-deps.sh
 
-# Whole builds share what they can.
+# Whole builds share what they can; the sloppiness is what ccache asks for with
+# precompiled headers.
 launcher=()
+export CCACHE_SLOPPINESS=pch_defines,time_macros
 command -v ccache >/dev/null && launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
 jobs=$(nproc)
 results=build/test-results

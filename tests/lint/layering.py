@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-"""Checks who may use what: the table of CONTRIBUTING.md, "Layers".
+"""Checks who may use what: the table of CONTRIBUTING.md, "Layers"; and that a
+source file includes its own header first.
 
     layering.py ROOT
 
@@ -229,6 +230,15 @@ def check_include(path, header, rule):
     return None
 
 
+def check_own_header(path, text):
+    """A source file includes its own header first: that shows that the header
+    compiles alone."""
+    own = path[:-len(".cc")] + ".h"
+    includes = INCLUDE.findall(text)
+    if not includes or includes[0] != own:
+        yield f"{path}: includes {own} first: it is the file's own header"
+
+
 def check_source(path, text):
     rule = rule_of(path)
     if rule is None:
@@ -295,7 +305,10 @@ def files_below(root, folders, suffixes):
 def check_tree(root):
     """All complaints about the tree at `root`."""
     for name, path in files_below(root, SOURCE_FOLDERS, (".h", ".cc")):
-        yield from check_source(name, path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        yield from check_source(name, text)
+        if path.suffix == ".cc" and path.with_suffix(".h").exists():
+            yield from check_own_header(name, text)
     for name, path in files_below(root, SOURCE_FOLDERS, ("CMakeLists.txt",)):
         yield from check_links(name, path.read_text(encoding="utf-8"))
 

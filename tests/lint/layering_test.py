@@ -41,7 +41,8 @@ GOOD = {
                       'int main() { std::cerr << "x"; exit(2); }\n',
     "client/api/client.h": '#include "core/codec/codec.h"\n'
                            '#include "Eigen/Core"\n',
-    "client/api/client.cc": '#include "grpcpp/channel.h"\n',
+    "client/api/client.cc": '#include "client/api/client.h"\n'
+                            '#include "grpcpp/channel.h"\n',
     "client/formats/las.cc": "#include <fcntl.h>\n#include <lzf.h>\n"
                              '#include "core/cloud/column.h"\n',
     "client/lab/image.cc": "#include <png.h>\n#include <ft2build.h>\n"
@@ -149,6 +150,9 @@ BAD = [
      "core/base/mutex.h"),
     ("client/lab/a.cc", '#include "boost/any.hpp"\n', "no library"),
     ("client/viewer/a.cc", "\n", "no rule"),
+    ("server/engine/engine.cc",
+     '#include <vector>\n#include "server/engine/engine.h"\n',
+     "own header"),
     # Libraries neither print, exit nor throw.
     ("client/lab/a.cc", 'void F() { std::cout << "x"; }\n', "never prints"),
     ("core/a.cc", 'void F() { std::cerr << "x"; }\n', "never prints"),
