@@ -129,6 +129,14 @@ class Catalogue {
       const std::optional<core::LatticeBox>& region,
       const std::optional<core::CellKey>& after, int64_t max_count) const = 0;
 
+  /// Up to `max_count` chunks of all revisions of a map, by number, those above
+  /// `after`. kNotFound.
+  virtual absl::StatusOr<std::vector<ChunkRef>> ListAllChunks(
+      const std::string& map_uid, int64_t after, int64_t max_count) const = 0;
+  /// How many ListAllChunks gives in all. kNotFound.
+  virtual absl::StatusOr<int64_t> CountAllChunks(
+      const std::string& map_uid) const = 0;
+
   /// Up to `max_count` tiles, in Morton order, those after `after`, where one
   /// of two revisions has a reference of `kind` that the other has not.
   /// Different references may name the same blobs. kNotFound; kOutOfRange: a
@@ -147,9 +155,9 @@ class Catalogue {
 
   /// Creates an upload, or returns the one of that id as it is, if its spec is
   /// the same. One whose points a rollback took out of the map again, so that
-  /// its revision is not in the history of the newest one, is replaced by a new
-  /// one. kNotFound: the map; kAlreadyExists: the id is taken by an upload of
-  /// another size or hash.
+  /// no revision that added them is in the history of the newest one, is
+  /// replaced by a new one. kNotFound: the map; kAlreadyExists: the id is taken
+  /// by an upload of another size or hash.
   virtual absl::StatusOr<UploadRecord> CreateUpload(const std::string& map_uid,
                                                     const UploadSpec& spec) = 0;
   /// kNotFound.

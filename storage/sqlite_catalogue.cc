@@ -230,6 +230,17 @@ class SqliteCatalogue final : public Catalogue, private Connections {
                                 max_count);
     });
   }
+  absl::StatusOr<std::vector<ChunkRef>> ListAllChunks(
+      const std::string& map_uid, int64_t after,
+      int64_t max_count) const override {
+    return Read([&](auto& db) {
+      return storage::ListAllChunks(db, map_uid, after, max_count);
+    });
+  }
+  absl::StatusOr<int64_t> CountAllChunks(
+      const std::string& map_uid) const override {
+    return Read([&](auto& db) { return storage::CountAllChunks(db, map_uid); });
+  }
   absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
       const std::string& map_uid, int64_t revision, int64_t other,
       ChunkKind kind, const std::optional<core::CellKey>& after,

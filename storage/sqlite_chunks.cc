@@ -354,6 +354,18 @@ absl::StatusOr<MapRow> ReadMapAt(SqliteDatabase& database,
   return map;
 }
 
+absl::StatusOr<std::vector<ChunkRef>> TakeChunks(SqliteDatabase& database,
+                                                 const MapRow& map,
+                                                 SqliteStatement& query) {
+  std::vector<ChunkRef> chunks;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) return chunks;
+    MAPSIEVE_ASSIGN_OR_RETURN(ChunkRef chunk, TakeChunk(database, map, query));
+    chunks.push_back(std::move(chunk));
+  }
+}
+
 absl::StatusOr<std::vector<ChunkRef>> ReadChunks(
     SqliteDatabase& database, const MapRow& map, int64_t revision,
     ChunkKind kind, const Selection& selection, int64_t max_count) {
@@ -364,13 +376,7 @@ absl::StatusOr<std::vector<ChunkRef>> ReadChunks(
                                     " ORDER BY tile_key, number LIMIT ?")));
   BindSelection(map, revision, kind, selection, query);
   query.Bind(max_count);
-  std::vector<ChunkRef> chunks;
-  while (true) {
-    MAPSIEVE_ASSIGN_OR_RETURN(const bool row, query.Step());
-    if (!row) return chunks;
-    MAPSIEVE_ASSIGN_OR_RETURN(ChunkRef chunk, TakeChunk(database, map, query));
-    chunks.push_back(std::move(chunk));
-  }
+  return TakeChunks(database, map, query);
 }
 
 }  // namespace
@@ -481,6 +487,34 @@ absl::StatusOr<std::vector<ChunkRef>> ListTileChunks(
   selection->from_tile = TileOrderKey(tile);
   selection->to_tile = selection->from_tile;
   return ReadChunks(database, map, revision, kind, *selection, kLast);
+}
+
+absl::StatusOr<std::vector<ChunkRef>> ListAllChunks(SqliteDatabase& database,
+                                                    const std::string& map_uid,
+                                                    int64_t after,
+                                                    int64_t max_count) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckPageSize(max_count));
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map, ReadMap(database, map_uid));
+  MAPSIEVE_ASSIGN_OR_RETURN(SqliteStatement query,
+                            database.Prepare(absl::StrCat(
+                                "SELECT ", kChunkColumns, ", ", kNumberColumns,
+                                " FROM chunks WHERE map_key = ? AND "
+                                "number > ? ORDER BY number LIMIT ?")));
+  query.Bind(map.key).Bind(after).Bind(max_count);
+  return TakeChunks(database, map, query);
+}
+
+absl::StatusOr<int64_t> CountAllChunks(SqliteDatabase& database,
+                                       const std::string& map_uid) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map, ReadMap(database, map_uid));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement query,
+      database.Prepare("SELECT count(*) FROM chunks WHERE map_key = ?"));
+  MAPSIEVE_RETURN_IF_ERROR(query.Bind(map.key).Step().status());
+  int64_t count = 0;
+  query.TakeCount(count);
+  MAPSIEVE_RETURN_IF_ERROR(query.status());
+  return count;
 }
 
 absl::StatusOr<std::vector<TileSummary>> ListTiles(

@@ -48,6 +48,12 @@ absl::StatusOr<std::vector<TileSummary>> ListTiles(
     SqliteDatabase& database, const std::string& map_uid, int64_t revision,
     ChunkKind kind, const std::optional<core::LatticeBox>& region,
     const std::optional<core::CellKey>& after, int64_t max_count);
+absl::StatusOr<std::vector<ChunkRef>> ListAllChunks(SqliteDatabase& database,
+                                                    const std::string& map_uid,
+                                                    int64_t after,
+                                                    int64_t max_count);
+absl::StatusOr<int64_t> CountAllChunks(SqliteDatabase& database,
+                                       const std::string& map_uid);
 absl::StatusOr<std::vector<core::CellKey>> ListChangedTiles(
     SqliteDatabase& database, const std::string& map_uid, int64_t revision,
     int64_t other, ChunkKind kind, const std::optional<core::CellKey>& after,

@@ -260,7 +260,7 @@ absl::StatusOr<bool> PurgePart(SqliteDatabase& database,
     MAPSIEVE_RETURN_IF_ERROR(remove.Bind(map.key).Bind(kChunksOfAPart).Run());
   }
   if (database.changed_row_count() == kChunksOfAPart) return false;
-  for (const char* table : {"tiles", "revisions", "maps"}) {
+  for (const char* table : {"tiles", "upload_revisions", "revisions", "maps"}) {
     MAPSIEVE_ASSIGN_OR_RETURN(
         SqliteStatement remove,
         database.Prepare(
@@ -349,19 +349,6 @@ absl::Status SetProcessOptions(SqliteDatabase& database, int64_t map_key,
       database.Prepare("UPDATE maps SET process_options = ? WHERE "
                        "map_key = ?"));
   return update.BindBlob(options).Bind(map_key).Run();
-}
-
-absl::StatusOr<bool> IsInHistory(SqliteDatabase& database, const MapRow& map,
-                                 int64_t number) {
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      SqliteStatement query,
-      database.Prepare(absl::StrCat("WITH RECURSIVE ", kHistory,
-                                    " SELECT 1 FROM history WHERE "
-                                    "number = ?3")));
-  return query.Bind(map.key)
-      .Bind(map.record.newest_revision)
-      .Bind(number)
-      .Step();
 }
 
 absl::StatusOr<std::vector<RevisionRecord>> ListRevisions(

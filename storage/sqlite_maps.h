@@ -64,9 +64,6 @@ absl::Status SetNewestRevision(SqliteDatabase& database, int64_t map_key,
                                const RevisionRecord& revision);
 absl::Status SetProcessOptions(SqliteDatabase& database, int64_t map_key,
                                const std::string& options);
-/// Whether `number` is in the history of the newest revision of the map.
-absl::StatusOr<bool> IsInHistory(SqliteDatabase& database, const MapRow& map,
-                                 int64_t number);
 absl::StatusOr<std::vector<RevisionRecord>> ListRevisions(
     SqliteDatabase& database, const std::string& map_uid, int64_t before,
     int64_t max_count);

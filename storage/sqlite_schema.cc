@@ -10,7 +10,7 @@ namespace {
 
 // "msve": marks the database as ours.
 constexpr int64_t kApplicationId = 0x6d737665;
-constexpr int64_t kSchemaVersion = 2;
+constexpr int64_t kSchemaVersion = 3;
 
 // FORMAT.md explains every table and column.
 constexpr char kSchema[] = R"sql(
@@ -112,6 +112,13 @@ CREATE TABLE uploads (
   report BLOB NOT NULL,
   UNIQUE (map_key, id)
 ) STRICT;
+
+CREATE TABLE upload_revisions (
+  map_key INTEGER NOT NULL REFERENCES maps,
+  upload_id TEXT NOT NULL,
+  revision INTEGER NOT NULL,
+  PRIMARY KEY (map_key, upload_id, revision)
+) STRICT, WITHOUT ROWID;
 
 CREATE TABLE operations (
   number INTEGER PRIMARY KEY AUTOINCREMENT,

@@ -74,6 +74,26 @@ absl::Status UpdateState(SqliteDatabase& database, const UploadRecord& upload) {
       .Run();
 }
 
+/// The revision in the history of the map's newest one that added the points of
+/// the upload `id`; 0 if there is none.
+absl::StatusOr<int64_t> RevisionWithPoints(SqliteDatabase& database,
+                                           const MapRow& map,
+                                           const std::string& id) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement query,
+      database.Prepare(absl::StrCat(
+          "WITH RECURSIVE ", kHistory,
+          " SELECT revision FROM upload_revisions WHERE map_key = ?1 AND "
+          "upload_id = ?3 AND revision IN (SELECT number FROM history)")));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const bool found,
+      query.Bind(map.key).Bind(map.record.newest_revision).Bind(id).Step());
+  int64_t revision = 0;
+  if (found) query.TakeCount(revision);
+  MAPSIEVE_RETURN_IF_ERROR(query.status());
+  return revision;
+}
+
 }  // namespace
 
 absl::StatusOr<UploadRecord> CreateUpload(SqliteDatabase& database,
@@ -89,9 +109,13 @@ absl::StatusOr<UploadRecord> CreateUpload(SqliteDatabase& database,
                        " exists already, with another size or content hash"));
     }
     if (existing->state != UploadState::kFinalized) return existing;
-    MAPSIEVE_ASSIGN_OR_RETURN(const bool is_there,
-                              IsInHistory(database, map, existing->revision));
-    if (is_there) return existing;
+    MAPSIEVE_ASSIGN_OR_RETURN(const int64_t revision,
+                              RevisionWithPoints(database, map, spec.id));
+    if (revision != 0) {
+      existing->revision = revision;
+      MAPSIEVE_RETURN_IF_ERROR(UpdateState(database, *existing));
+      return existing;
+    }
     MAPSIEVE_RETURN_IF_ERROR(DeleteUpload(database, existing->uid));
   } else if (!absl::IsNotFound(existing.status())) {
     return existing;
@@ -209,7 +233,13 @@ absl::Status FinalizeUpload(SqliteDatabase& database,
   upload.revision = revision.number;
   upload.report = report;
   upload.update_time = revision.create_time;
-  return UpdateState(database, upload);
+  MAPSIEVE_RETURN_IF_ERROR(UpdateState(database, upload));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement insert,
+      database.Prepare(
+          "INSERT INTO upload_revisions (map_key, upload_id, revision) "
+          "SELECT map_key, id, revision FROM uploads WHERE uid = ?"));
+  return insert.Bind(upload_uid).Run();
 }
 
 absl::Status DeleteUpload(SqliteDatabase& database,

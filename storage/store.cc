@@ -76,6 +76,15 @@ absl::StatusOr<std::vector<ChunkRef>> ReadSnapshot::ListTileChunks(
                                            tile);
 }
 
+absl::StatusOr<std::vector<ChunkRef>> ReadSnapshot::ListAllChunks(
+    int64_t after, int64_t max_count) const {
+  return store_.catalogue_->ListAllChunks(map_.uid, after, max_count);
+}
+
+absl::StatusOr<int64_t> ReadSnapshot::CountAllChunks() const {
+  return store_.catalogue_->CountAllChunks(map_.uid);
+}
+
 absl::StatusOr<std::vector<TileSummary>> ReadSnapshot::ListTiles(
     ChunkKind kind, const std::optional<core::LatticeBox>& region,
     const std::optional<core::CellKey>& after, int64_t max_count) const {

@@ -71,7 +71,13 @@ class ReadSnapshot {
       ChunkKind kind, const std::optional<core::LatticeBox>& region,
       const std::optional<core::CellKey>& after, int64_t max_count) const;
 
-  /// The bytes of a chunk of this snapshot, checked. kDataLoss, naming map,
+  /// Catalogue::ListAllChunks and CountAllChunks of the map.
+  absl::StatusOr<std::vector<ChunkRef>> ListAllChunks(int64_t after,
+                                                      int64_t max_count) const;
+  absl::StatusOr<int64_t> CountAllChunks() const;
+
+  /// The bytes of a chunk of this snapshot, or of another revision of its map,
+  /// checked. kDataLoss, naming map,
   /// tile and blob: the blob is missing, or not what was stored.
   absl::StatusOr<std::vector<std::byte>> ReadChunk(const ChunkRef& chunk) const;
 

@@ -205,6 +205,31 @@ RevisionInfo FromProto(const v1::Revision& revision) {
   return result;
 }
 
+DamagedChunk FromProto(const v1::DamagedChunk& chunk) {
+  DamagedChunk result = {.tile = {chunk.x(), chunk.y(), chunk.z()},
+                         .blob_id = chunk.blob_id(),
+                         .problem = chunk.problem()};
+  switch (chunk.content()) {
+    case v1::DamagedChunk::CONTENT_RAW:
+      result.content = "raw";
+      break;
+    case v1::DamagedChunk::CONTENT_PRODUCT:
+      result.content = "product";
+      break;
+    case v1::DamagedChunk::CONTENT_HISTORY:
+      result.content = "history";
+      break;
+    default:
+      result.content = "unknown";
+  }
+  return result;
+}
+
+DifferingTile FromProto(const v1::DifferingTile& tile) {
+  return {.tile = {tile.x(), tile.y(), tile.z()},
+          .difference = tile.difference()};
+}
+
 TileChange FromProto(const v1::TileChange& change) {
   return {.tile = {change.x(), change.y(), change.z()},
           .raw = FromProto(change.raw()),

@@ -33,6 +33,8 @@ QuerySummary FromProto(const v1::QuerySummary& summary);
 
 RevisionInfo FromProto(const v1::Revision& revision);
 TileChange FromProto(const v1::TileChange& change);
+DamagedChunk FromProto(const v1::DamagedChunk& chunk);
+DifferingTile FromProto(const v1::DifferingTile& tile);
 
 /// Sets the field `region` of a request; nothing leaves it unset.
 void SetRegion(const Region& region, v1::FinalizeUploadRequest& request);

@@ -482,6 +482,42 @@ absl::Status MapClient::CancelOperation(const std::string& operation_id) {
       connection_->operations->CancelOperation(&context, request, &empty));
 }
 
+absl::StatusOr<VerifyReport> MapClient::Verify(
+    const std::string& map_id, int64_t compared_tile_count,
+    const ProgressCallback& progress) {
+  v1::VerifyMapRequest request;
+  request.set_name(MapName(map_id));
+  request.set_compared_tile_count(compared_tile_count);
+  grpc::ClientContext context;
+  const auto reader = connection_->maps->VerifyMap(&context, request);
+  VerifyReport report;
+  bool is_complete = false;
+  v1::VerifyMapResponse response;
+  while (reader->Read(&response)) {
+    if (response.has_progress() && progress) {
+      progress(response.progress().done_count(),
+               response.progress().total_count());
+    } else if (response.has_damaged_chunk()) {
+      report.damaged_chunks.push_back(FromProto(response.damaged_chunk()));
+    } else if (response.has_differing_tile()) {
+      report.differing_tiles.push_back(FromProto(response.differing_tile()));
+    } else if (response.has_summary()) {
+      const v1::VerifySummary& summary = response.summary();
+      report.chunk_count = summary.chunk_count();
+      report.stored_bytes = summary.stored_bytes();
+      report.compared_tile_count = summary.compared_tile_count();
+      report.compared_point_count = summary.compared_point_count();
+      report.skipped_tile_count = summary.skipped_tile_count();
+      is_complete = true;
+    }
+  }
+  MAPSIEVE_RETURN_IF_ERROR(ToStatus(reader->Finish()));
+  if (!is_complete) {
+    return absl::DataLossError("the answer ends without its summary");
+  }
+  return report;
+}
+
 absl::StatusOr<std::unique_ptr<QueryStream>> MapClient::Query(
     const QuerySpec& spec) {
   auto stream = std::make_unique<GrpcQueryStream>(*connection_->queries, spec);

@@ -82,6 +82,15 @@ class MapClient {
   absl::StatusOr<RevisionInfo> RollBack(const std::string& map_id,
                                         int64_t revision);
 
+  /// Reads every stored chunk of a map, of all its revisions, on the server,
+  /// and filters `compared_tile_count` tiles again, each by itself, to compare.
+  /// Damage is in the report and no error. kNotFound, kInvalidArgument;
+  /// kFailedPrecondition: tiles are to be compared, and the map was never
+  /// processed. `progress` counts chunks and tiles.
+  absl::StatusOr<VerifyReport> Verify(const std::string& map_id,
+                                      int64_t compared_tile_count,
+                                      const ProgressCallback& progress = {});
+
   /// Starts the filter over a map and returns the operation's id. No options:
   /// those of the map's last run. kFailedPrecondition (empty map), kAborted (a
   /// run is going on).

@@ -204,6 +204,40 @@ struct ComparedRevisions {
   RevisionInfo target;
 };
 
+/// A stored chunk that is missing, or not what was stored.
+struct DamagedChunk {
+  /// "raw", "product" or "history".
+  std::string content;
+  /// As in TileChange.
+  core::LatticePoint tile;
+  /// Names the stored object.
+  std::string blob_id;
+  /// What was expected and what was found.
+  std::string problem;
+};
+
+/// A tile whose product is not what the filter makes of its points.
+struct DifferingTile {
+  core::LatticePoint tile;
+  /// What differs first.
+  std::string difference;
+};
+
+/// What MapClient::Verify found.
+struct VerifyReport {
+  /// Chunks read, of all revisions, and their bytes.
+  int64_t chunk_count = 0;
+  int64_t stored_bytes = 0;
+  std::vector<DamagedChunk> damaged_chunks;
+  int64_t compared_tile_count = 0;
+  /// Survivors of the filter in the tiles compared.
+  int64_t compared_point_count = 0;
+  std::vector<DifferingTile> differing_tiles;
+  /// Tiles that were not compared: too many points for the server's memory, or
+  /// damaged ones.
+  int64_t skipped_tile_count = 0;
+};
+
 /// What the filter says of a point; the answer's columns for each are named in
 /// proto/mapsieve/v1/query_service.proto.
 enum class FilterColumn {

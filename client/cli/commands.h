@@ -87,6 +87,15 @@ struct RevisionsCommand {
 absl::Status RunRevisions(const CommonOptions& common,
                           const RevisionsCommand& command);
 
+struct VerifyCommand {
+  std::string map;
+  /// Tiles to filter again.
+  int64_t compared_tile_count = 0;
+};
+/// kDataLoss if anything is damaged or differs.
+absl::Status RunVerify(const CommonOptions& common,
+                       const VerifyCommand& command);
+
 /// With the newest revisions.
 absl::Status RunInfo(const CommonOptions& common, const std::string& map);
 absl::Status RunList(const CommonOptions& common);

@@ -182,6 +182,31 @@ void AddRevisionCommands(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+void AddVerify(CLI::App& app, const CommonOptions& common, Run& run) {
+  // Of --tiling without a number.
+  static constexpr int64_t kDefaultTiles = 16;
+  auto verify = std::make_shared<VerifyCommand>();
+  CLI::App* command = app.add_subcommand(
+      "verify", "Read all that is stored of a map and tell what is damaged");
+  command->add_option("MAP", verify->map, "Id of the map")->required();
+  CLI::Option* tiling =
+      command->add_flag("--tiling")
+          ->description(
+              "Also filter some tiles again, each with the points around it as "
+              "one cloud, and compare");
+  command
+      ->add_option("--tiles", verify->compared_tile_count,
+                   "With --tiling: how many tiles, evenly spread (default 16)")
+      ->check(CLI::Range(int64_t{1}, int64_t{1'000'000}))
+      ->needs(tiling);
+  command->callback([=, &common, &run] {
+    if (tiling->count() > 0 && verify->compared_tile_count == 0) {
+      verify->compared_tile_count = kDefaultTiles;
+    }
+    run = [=, &common] { return RunVerify(common, *verify); };
+  });
+}
+
 void AddProcess(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<ProcessCommand>();
   auto rule = std::make_shared<std::string>();
@@ -414,6 +439,7 @@ int Main(int argc, char** argv) {
   AddDeleteRegion(app, common, run);
   AddReplaceRegion(app, common, run);
   AddRevisionCommands(app, common, run);
+  AddVerify(app, common, run);
   AddMapCommands(app, common, run);
   AddSample(app, common, run);
   AddConvert(app, common, run);

@@ -1,3 +1,4 @@
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -71,11 +72,21 @@ Json UploadJson(const UploadReport& report, double seconds) {
           {"upload_s", seconds}};
 }
 
+/// The lowest corner of a tile in map units.
+std::array<double, 3> TileCorner(const MapInfo& map,
+                                 const core::LatticePoint& tile) {
+  const core::Lattice lattice(map.step_nm);
+  const auto coordinate = [&](int64_t cell) {
+    return lattice.Coordinate(cell * (int64_t{1} << map.tile_level));
+  };
+  return {coordinate(tile.x), coordinate(tile.y), coordinate(tile.z)};
+}
+
 /// A file of tiles that differ, a line each.
 class TileFile {
  public:
   TileFile(std::string path, const MapInfo& map)
-      : path_(std::move(path)), level_(map.tile_level), lattice_(map.step_nm) {
+      : path_(std::move(path)), map_(map) {
     if (path_.empty()) return;
     file_.open(path_, std::ios::trunc);
     file_ << "x,y,z,raw,product,raw_points_before,raw_points_after";
@@ -89,9 +100,8 @@ class TileFile {
 
   absl::Status Add(const TileChange& change) {
     if (path_.empty()) return absl::OkStatus();
-    const core::LatticePoint& t = change.tile;
-    for (const int64_t cell : {t.x, t.y, t.z}) {
-      file_ << absl::StrFormat("%.17g,", lattice_.Coordinate(cell << level_));
+    for (const double coordinate : TileCorner(map_, change.tile)) {
+      file_ << absl::StrFormat("%.17g,", coordinate);
     }
     file_ << Name(change.raw) << ',' << Name(change.product) << ','
           << change.base_raw_point_count << ','
@@ -131,8 +141,7 @@ class TileFile {
   }
 
   const std::string path_;
-  const int level_;
-  const core::Lattice lattice_;
+  const MapInfo map_;
   std::ofstream file_;
 };
 
@@ -362,6 +371,56 @@ absl::Status RunRevisions(const CommonOptions& common,
                {"label_counts_before", LabelCountsJson(base.label_counts)},
                {"label_counts_after", LabelCountsJson(target.label_counts)},
                {"compared", {RevisionJson(base), RevisionJson(target)}}});
+  return absl::OkStatus();
+}
+
+absl::Status RunVerify(const CommonOptions& common,
+                       const VerifyCommand& command) {
+  MapClient client(common.server);
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(command.map));
+  const auto start = Clock::now();
+  absl::StatusOr<VerifyReport> report;
+  {
+    ProgressBar bar("verify " + map.id, "chunks and tiles");
+    report = client.Verify(map.id, command.compared_tile_count, Show(bar));
+  }
+  MAPSIEVE_RETURN_IF_ERROR(report.status());
+  Json damaged = Json::array();
+  for (const DamagedChunk& chunk : report->damaged_chunks) {
+    damaged.push_back({{"content", chunk.content},
+                       {"tile_corner", TileCorner(map, chunk.tile)},
+                       {"blob", chunk.blob_id},
+                       {"problem", chunk.problem}});
+  }
+  Json differing = Json::array();
+  for (const DifferingTile& tile : report->differing_tiles) {
+    differing.push_back({{"tile_corner", TileCorner(map, tile.tile)},
+                         {"difference", tile.difference}});
+  }
+  PrintResult(common.json,
+              {{"map", map.id},
+               {"chunk_count", report->chunk_count},
+               {"stored_bytes", report->stored_bytes},
+               {"damaged_chunks", std::move(damaged)},
+               {"compared_tile_count", report->compared_tile_count},
+               {"compared_point_count", report->compared_point_count},
+               {"differing_tiles", std::move(differing)},
+               {"skipped_tile_count", report->skipped_tile_count},
+               {"verify_s", SecondsSince(start)}});
+  if (!report->damaged_chunks.empty()) {
+    return absl::DataLossError(absl::StrCat(
+        "map ", map.id, ": damaged chunks: ", report->damaged_chunks.size(),
+        ", listed above; restore their blobs from a backup, or delete their "
+        "regions and upload the scans again"));
+  }
+  if (!report->differing_tiles.empty()) {
+    return absl::DataLossError(absl::StrCat(
+        "map ", map.id,
+        ": tiles that are not what the filter makes of their "
+        "points: ",
+        report->differing_tiles.size(),
+        ", listed above; this is a defect of mapsieve: please report it"));
+  }
   return absl::OkStatus();
 }
 

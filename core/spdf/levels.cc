@@ -1,12 +1,16 @@
 #include "core/spdf/levels.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
+#include <iterator>
 #include <map>
 #include <numbers>
-#include <numeric>
+#include <optional>
+#include <set>
 #include <unordered_map>
+#include <unordered_set>
 #include <utility>
 
 #include "core/base/bulk_vector.h"
@@ -19,22 +23,35 @@
 namespace mapsieve::core {
 namespace {
 
-/// The points of one level, given in cells, as the nodes of the next one.
+/// Points of one level of detail in one place: in a cell that the run made, or
+/// as they were before in a tile.
+struct LevelPart {
+  TileInfo cell;
+  bool is_previous = false;
+};
+
+/// The parts of one level of detail as the nodes of the next one.
 class LevelNodes final : public PointTiles {
  public:
-  /// `parts`: cells of `level`, in Morton order, at most as coarse as nodes
-  /// are.
-  LevelNodes(LevelStore& store, int level, std::vector<TileInfo> parts,
-             int node_level)
-      : store_(store), level_(level), parts_(std::move(parts)) {
-    for (size_t p = 0; p < parts_.size(); ++p) {
-      const CellKey node = parts_[p].key.Ancestor(node_level);
-      if (nodes_.empty() || nodes_.back().key != node) {
-        nodes_.push_back({node, 0});
-        parts_of_[node].first = p;
+  /// `parts`: in Morton order, at most as coarse as nodes are. `cells`: the
+  /// nodes, in Morton order, those without parts too.
+  LevelNodes(LevelStore& store, PreviousLevels* previous, int level,
+             std::vector<LevelPart> parts, std::span<const CellKey> cells)
+      : store_(store),
+        previous_(previous),
+        level_(level),
+        parts_(std::move(parts)) {
+    size_t p = 0;
+    for (const CellKey& cell : cells) {
+      TileInfo node = {cell, 0};
+      const size_t first = p;
+      for (;
+           p < parts_.size() && parts_[p].cell.key.Ancestor(cell.level) == cell;
+           ++p) {
+        node.point_count += parts_[p].cell.point_count;
       }
-      nodes_.back().point_count += parts_[p].point_count;
-      parts_of_[node].second = p + 1;
+      nodes_.push_back(node);
+      parts_of_[cell] = {first, p};
     }
   }
 
@@ -45,11 +62,13 @@ class LevelNodes final : public PointTiles {
     const auto [begin, end] = parts_of_.at(key);
     size_t size = 0;
     for (size_t p = begin; p < end; ++p) {
+      const auto& [cell, is_previous] = parts_[p];
+      const std::span<LatticePoint> part_room =
+          room.subspan(size, static_cast<size_t>(cell.point_count));
       MAPSIEVE_ASSIGN_OR_RETURN(
           const int64_t count,
-          store_.LoadPoints(
-              level_, parts_[p].key,
-              room.subspan(size, static_cast<size_t>(parts_[p].point_count))));
+          is_previous ? previous_->Load(level_, cell.key, part_room)
+                      : store_.LoadPoints(level_, cell.key, part_room));
       size += static_cast<size_t>(count);
     }
     return static_cast<int64_t>(size);
@@ -57,121 +76,326 @@ class LevelNodes final : public PointTiles {
 
  private:
   LevelStore& store_;
+  PreviousLevels* const previous_;
   const int level_;
-  const std::vector<TileInfo> parts_;
+  const std::vector<LevelPart> parts_;
   std::vector<TileInfo> nodes_;
   /// Each node's parts [first, second).
   std::unordered_map<CellKey, std::pair<size_t, size_t>, CellKeyHash> parts_of_;
 };
 
-/// Makes level `level` of the points of the finer one that `nodes` hold, and
-/// returns the nodes that have any.
-absl::StatusOr<std::vector<TileInfo>> MakeLevel(
-    int level, LevelNodes& nodes, LevelStore& store, const Lattice& lattice,
-    const SpdfOptions& options, const TilingOptions& tiling,
-    const ExecutionContext& context) {
-  const SpdfConstants constants = MakeSpdfConstants(options, lattice);
-  PointUnits units(nodes, options, constants, context);
-  std::vector<size_t> all(units.tiles().size());
-  std::iota(all.begin(), all.end(), size_t{0});
-  const int64_t radius_d2 = LevelRadiusD2(options, lattice, level);
-  std::vector<TileInfo> cells;
-  BulkVector<LatticePoint> points;
-  for (const PointUnits::Unit& unit :
-       units.Group(all, tiling.max_unit_points)) {
-    MAPSIEVE_ASSIGN_OR_RETURN(const LoadedUnit loaded,
-                              units.Load(unit, CeilRoot(radius_d2)));
-    WorkUnit& work = *loaded.work;
-    MAPSIEVE_RETURN_IF_ERROR(work.RunQuota(radius_d2, context));
-    for (const LoadedTile& tile : loaded.tiles) {
-      if (!tile.is_core) continue;
-      points.resize(tile.end - tile.begin);
-      size_t size = 0;
-      for (size_t i = tile.begin; i < tile.end; ++i) {
-        points[size] = work.SurvivorPosition(i);
-        size += work.deaths()[i] == kAlive ? 1 : 0;
-      }
-      points.resize(size);
-      if (points.empty()) continue;
-      const CellKey& cell = units.tiles()[tile.tile].key;
-      MAPSIEVE_RETURN_IF_ERROR(store.StorePoints(level, cell, points));
-      cells.push_back({cell, static_cast<int64_t>(points.size())});
+/// Calls use(q) for the points that only one of two ranges in Morton order
+/// holds.
+template <typename Use>
+void ForEachDifference(std::span<const LatticePoint> a,
+                       std::span<const LatticePoint> b, const Use& use) {
+  size_t i = 0;
+  size_t j = 0;
+  while (i < a.size() || j < b.size()) {
+    if (i < a.size() && j < b.size() && a[i] == b[j]) {
+      ++i;
+      ++j;
+    } else if (j == b.size() || (i < a.size() && MortonLess(a[i], b[j]))) {
+      use(a[i++]);
+    } else {
+      use(b[j++]);
     }
   }
-  return cells;
 }
 
-/// The points of one level one after the other, in Morton order.
-class LevelStream {
+/// One computation of depths.
+class DepthsRun {
  public:
-  LevelStream(LevelStore& store, int level, std::vector<TileInfo> cells)
-      : store_(store), level_(level), cells_(std::move(cells)) {}
+  DepthsRun(LevelStore& store, PreviousLevels* previous, const Lattice& lattice,
+            const SpdfOptions& options, const TilingOptions& tiling,
+            const ExecutionContext& context)
+      : store_(store),
+        previous_(previous),
+        lattice_(lattice),
+        options_(options),
+        tiling_(tiling),
+        context_(context),
+        constants_(MakeSpdfConstants(options, lattice)),
+        tiles_(store.Tiles()) {
+    for (const TileInfo& tile : tiles_) known_tiles_.push_back(tile.key);
+    if (previous_ == nullptr) return;
+    const std::vector<CellKey> changed = previous_->ChangedTiles();
+    to_emit_.insert(changed.begin(), changed.end());
+    std::vector<CellKey> all;
+    std::set_union(known_tiles_.begin(), known_tiles_.end(), changed.begin(),
+                   changed.end(), std::back_inserter(all), CellKeyLess());
+    known_tiles_ = std::move(all);
+  }
 
-  /// Goes to the first point.
-  absl::Status Start() { return LoadCell(); }
-  bool IsAt(const LatticePoint& q) const {
-    return next_ < points_.size() && points_[next_] == q;
+  absl::Status Run() {
+    if (known_tiles_.empty()) return absl::OkStatus();
+    MAPSIEVE_RETURN_IF_ERROR(FindFirstChanges());
+    std::vector<LevelPart> parts;
+    for (const TileInfo& tile : tiles_) parts.push_back({tile, false});
+    int node_level = known_tiles_[0].level;
+    for (int level = 1; level <= kMaxDepth; ++level) {
+      MAPSIEVE_RETURN_IF_ERROR(MakeLevel(level, node_level, std::move(parts)));
+      parts = PartsOf(levels_.back(), level);
+      node_level =
+          std::max(node_level, std::min(node_level + 1, kMaxMemoryTileLevel));
+      context_.ReportProgress(level, kMaxDepth);
+    }
+    return EmitDepths();
   }
-  absl::Status Advance() {
-    return ++next_ < points_.size() ? absl::OkStatus() : LoadCell();
-  }
-  bool IsAtEnd() const { return next_ == points_.size(); }
 
  private:
-  absl::Status LoadCell() {
-    points_.clear();
-    next_ = 0;
-    if (next_cell_ == cells_.size()) return absl::OkStatus();
-    const TileInfo& cell = cells_[next_cell_++];
-    points_.resize(static_cast<size_t>(cell.point_count));
-    return store_.LoadPoints(level_, cell.key, points_).status();
+  /// What the run made of one level of detail.
+  struct MadeLevel {
+    int node_level = 0;
+    /// How many points each of the nodes that were made holds.
+    std::unordered_map<CellKey, int64_t, CellKeyHash> made;
+    /// The last one loaded.
+    CellKey loaded_node;
+    BulkVector<LatticePoint> loaded;
+  };
+
+  /// The differences of level 0, from here on those of the newest level.
+  absl::Status FindFirstChanges() {
+    if (previous_ == nullptr) return absl::OkStatus();
+    std::unordered_map<CellKey, int64_t, CellKeyHash> counts;
+    for (const TileInfo& tile : tiles_) {
+      if (to_emit_.contains(tile.key)) counts[tile.key] = tile.point_count;
+    }
+    BulkVector<LatticePoint> now;
+    for (const CellKey& tile : previous_->ChangedTiles()) {
+      MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+      const auto count = counts.find(tile);
+      now.resize(count == counts.end() ? 0
+                                       : static_cast<size_t>(count->second));
+      if (!now.empty()) {
+        MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
+                                  store_.LoadPoints(0, tile, now));
+        now.resize(static_cast<size_t>(size));
+      }
+      MAPSIEVE_RETURN_IF_ERROR(Compare(0, {&tile, 1}, now));
+    }
+    return absl::OkStatus();
+  }
+
+  /// Notes where the points `now` of level `level` differ from those that the
+  /// adjacent `tiles` held.
+  absl::Status Compare(int level, std::span<const CellKey> tiles,
+                       std::span<const LatticePoint> now) {
+    before_.clear();
+    for (const CellKey& tile : tiles) {
+      MAPSIEVE_RETURN_IF_ERROR(AppendPrevious(level, tile, before_));
+    }
+    std::optional<LatticeBox> box;
+    ForEachDifference(now, before_, [&](const LatticePoint& q) {
+      box = box.has_value() ? box->Union(BoxOf(q)) : BoxOf(q);
+      to_emit_.insert(CellKey::Of(q, known_tiles_[0].level));
+    });
+    if (box.has_value()) changes_.push_back(*box);
+    return absl::OkStatus();
+  }
+
+  absl::Status AppendPrevious(int level, const CellKey& tile,
+                              BulkVector<LatticePoint>& points) {
+    const int64_t room = previous_->CountAtMost(level, tile);
+    if (room == 0) return absl::OkStatus();
+    const size_t begin = points.size();
+    points.resize(begin + static_cast<size_t>(room));
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const int64_t size,
+        previous_->Load(level, tile, std::span(points).subspan(begin)));
+    points.resize(begin + static_cast<size_t>(size));
+    return absl::OkStatus();
+  }
+
+  /// The tiles, points or not, in a node.
+  std::span<const CellKey> KnownTilesIn(const CellKey& node) const {
+    const auto in_node = std::equal_range(
+        known_tiles_.begin(), known_tiles_.end(), node,
+        [&](const CellKey& a, const CellKey& b) {
+          return CellKeyLess()(a.Ancestor(node.level), b.Ancestor(node.level));
+        });
+    return {in_node.first, in_node.second};
+  }
+
+  /// Makes those nodes of level `level` that lie within reach of a change of
+  /// the finer one, which `parts` are.
+  absl::Status MakeLevel(int level, int node_level,
+                         std::vector<LevelPart> parts) {
+    std::vector<CellKey> cells;
+    for (const CellKey& tile : known_tiles_) {
+      const CellKey cell = tile.Ancestor(node_level);
+      if (cells.empty() || cells.back() != cell) cells.push_back(cell);
+    }
+    LevelNodes nodes(store_, previous_, level - 1, std::move(parts), cells);
+    PointUnits units(nodes, options_, constants_, context_);
+    const int64_t radius_d2 = LevelRadiusD2(options_, lattice_, level);
+    const int64_t radius = CeilRoot(radius_d2);
+
+    std::set<size_t> in_reach;
+    for (size_t n = 0; n < cells.size() && previous_ == nullptr; ++n) {
+      in_reach.insert(in_reach.end(), n);
+    }
+    for (const LatticeBox& change : std::exchange(changes_, {})) {
+      const std::vector<size_t> found = units.TilesIn(change.Grown(radius));
+      in_reach.insert(found.begin(), found.end());
+    }
+    MadeLevel& made = levels_.emplace_back();
+    made.node_level = node_level;
+    std::vector<size_t> wanted;
+    for (const size_t n : in_reach) {
+      if (units.tiles()[n].point_count > 0) {
+        wanted.push_back(n);
+      } else {
+        MAPSIEVE_RETURN_IF_ERROR(AddNode(level, cells[n], {}, made));
+      }
+    }
+    for (const PointUnits::Unit& unit :
+         units.Group(wanted, tiling_.max_unit_points)) {
+      MAPSIEVE_ASSIGN_OR_RETURN(const LoadedUnit loaded,
+                                units.Load(unit, radius));
+      MAPSIEVE_RETURN_IF_ERROR(loaded.work->RunQuota(radius_d2, context_));
+      for (const LoadedTile& tile : loaded.tiles) {
+        if (!tile.is_core) continue;
+        MAPSIEVE_RETURN_IF_ERROR(AddNode(level, units.tiles()[tile.tile].key,
+                                         SurvivorsOf(tile, *loaded.work),
+                                         made));
+      }
+    }
+    return absl::OkStatus();
+  }
+
+  /// Valid until the next call.
+  std::span<const LatticePoint> SurvivorsOf(const LoadedTile& tile,
+                                            WorkUnit& work) {
+    survivors_.resize(tile.end - tile.begin);
+    size_t size = 0;
+    for (size_t i = tile.begin; i < tile.end; ++i) {
+      survivors_[size] = work.SurvivorPosition(i);
+      size += work.deaths()[i] == kAlive ? 1 : 0;
+    }
+    return std::span(survivors_).first(size);
+  }
+
+  absl::Status AddNode(int level, const CellKey& node,
+                       std::span<const LatticePoint> points, MadeLevel& made) {
+    made.made[node] = static_cast<int64_t>(points.size());
+    if (previous_ != nullptr) {
+      MAPSIEVE_RETURN_IF_ERROR(Compare(level, KnownTilesIn(node), points));
+    }
+    return points.empty() ? absl::OkStatus()
+                          : store_.StorePoints(level, node, points);
+  }
+
+  /// Level `level`: made nodes, and tiles as they were elsewhere.
+  std::vector<LevelPart> PartsOf(const MadeLevel& level_nodes,
+                                 int level) const {
+    std::vector<LevelPart> parts;
+    for (size_t t = 0; t < known_tiles_.size();) {
+      const CellKey node = known_tiles_[t].Ancestor(level_nodes.node_level);
+      const auto made = level_nodes.made.find(node);
+      if (made == level_nodes.made.end()) {
+        const CellKey& tile = known_tiles_[t++];
+        const int64_t count = previous_->CountAtMost(level, tile);
+        if (count > 0) parts.push_back({{tile, count}, true});
+        continue;
+      }
+      if (made->second > 0) parts.push_back({{node, made->second}, false});
+      t += KnownTilesIn(node).size();
+    }
+    return parts;
+  }
+
+  absl::Status EmitDepths() {
+    BulkVector<LatticePoint> points;
+    std::vector<uint8_t> depths;
+    std::array<BulkVector<LatticePoint>, kMaxDepth> buffers;
+    std::array<std::span<const LatticePoint>, kMaxDepth> members;
+    for (const TileInfo& tile : tiles_) {
+      if (previous_ != nullptr && !to_emit_.contains(tile.key)) continue;
+      MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+      points.resize(static_cast<size_t>(tile.point_count));
+      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
+                                store_.LoadPoints(0, tile.key, points));
+      for (size_t i = 0; i < members.size(); ++i) {
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            members[i],
+            PointsIn(tile.key, static_cast<int>(i) + 1, buffers[i]));
+      }
+      depths.clear();
+      for (size_t i = 0; i < static_cast<size_t>(size); ++i) {
+        // Levels are nested and in one order: a point is the next of each
+        // level that it is part of.
+        uint8_t depth = 0;
+        for (; depth < kMaxDepth; ++depth) {
+          std::span<const LatticePoint>& level = members[depth];
+          if (level.empty() || level.front() != points[i]) break;
+          level = level.subspan(1);
+        }
+        depths.push_back(depth);
+      }
+      for (size_t i = 0; i < members.size(); ++i) {
+        if (!members[i].empty()) {
+          return absl::InternalError(
+              absl::StrCat("level ", i + 1, " holds a point that tile ",
+                           tile.key.ToString(), " does not have"));
+        }
+      }
+      MAPSIEVE_RETURN_IF_ERROR(store_.EmitDepths(tile.key, depths));
+    }
+    return absl::OkStatus();
+  }
+
+  /// The points of level `level` in a tile, in `buffer` or in the node loaded
+  /// last; tiles in order load each node once.
+  absl::StatusOr<std::span<const LatticePoint>> PointsIn(
+      const CellKey& tile, int level, BulkVector<LatticePoint>& buffer) {
+    MadeLevel& nodes = levels_[static_cast<size_t>(level) - 1];
+    const CellKey node = tile.Ancestor(nodes.node_level);
+    const auto made = nodes.made.find(node);
+    if (made == nodes.made.end()) {
+      buffer.clear();
+      MAPSIEVE_RETURN_IF_ERROR(AppendPrevious(level, tile, buffer));
+      return std::span<const LatticePoint>(buffer);
+    }
+    if (made->second == 0) return std::span<const LatticePoint>();
+    if (nodes.loaded.empty() || nodes.loaded_node != node) {
+      nodes.loaded_node = node;
+      nodes.loaded.resize(static_cast<size_t>(made->second));
+      MAPSIEVE_RETURN_IF_ERROR(
+          store_.LoadPoints(level, node, nodes.loaded).status());
+    }
+    // A tile's corner comes before its other points.
+    const auto begin = std::lower_bound(
+        nodes.loaded.begin(), nodes.loaded.end(), tile.corner(),
+        [](const LatticePoint& a, const LatticePoint& b) {
+          return MortonLess(a, b);
+        });
+    const auto end = std::partition_point(
+        begin, nodes.loaded.end(), [&](const LatticePoint& q) {
+          return CellKey::Of(q, tile.level) == tile;
+        });
+    return std::span<const LatticePoint>(begin, end);
   }
 
   LevelStore& store_;
-  const int level_;
-  const std::vector<TileInfo> cells_;
-  size_t next_cell_ = 0;
-  BulkVector<LatticePoint> points_;
-  size_t next_ = 0;
+  PreviousLevels* const previous_;
+  const Lattice& lattice_;
+  const SpdfOptions& options_;
+  const TilingOptions& tiling_;
+  const ExecutionContext& context_;
+  const SpdfConstants constants_;
+  const std::vector<TileInfo> tiles_;
+  /// And those that hold no points any more, in Morton order.
+  std::vector<CellKey> known_tiles_;
+  /// Changed tiles, and those with a difference in any level.
+  std::unordered_set<CellKey, CellKeyHash> to_emit_;
+  /// Boxes around the differences of the newest level.
+  std::vector<LatticeBox> changes_;
+  /// From level 1 on.
+  std::vector<MadeLevel> levels_;
+  BulkVector<LatticePoint> survivors_;
+  BulkVector<LatticePoint> before_;
 };
-
-/// Tells the store the depths of its points. `streams`: the levels from 1 on.
-absl::StatusOr<DepthCounts> EmitDepths(LevelStore& store,
-                                       std::vector<LevelStream>& streams,
-                                       const ExecutionContext& context) {
-  for (LevelStream& stream : streams) {
-    MAPSIEVE_RETURN_IF_ERROR(stream.Start());
-  }
-  DepthCounts counts{};
-  BulkVector<LatticePoint> points;
-  std::vector<uint8_t> depths;
-  for (const TileInfo& tile : store.Tiles()) {
-    MAPSIEVE_RETURN_IF_ERROR(context.CheckStop());
-    points.resize(static_cast<size_t>(tile.point_count));
-    MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
-                              store.LoadPoints(0, tile.key, points));
-    depths.clear();
-    for (size_t i = 0; i < static_cast<size_t>(size); ++i) {
-      // Levels are nested and in one order: a point is the next of each level
-      // that it is part of.
-      size_t depth = 0;
-      for (; depth < streams.size() && streams[depth].IsAt(points[i]);
-           ++depth) {
-        MAPSIEVE_RETURN_IF_ERROR(streams[depth].Advance());
-      }
-      ++counts[depth];
-      depths.push_back(static_cast<uint8_t>(depth));
-    }
-    MAPSIEVE_RETURN_IF_ERROR(store.EmitDepths(tile.key, depths));
-  }
-  for (size_t i = 0; i < streams.size(); ++i) {
-    if (!streams[i].IsAtEnd()) {
-      return absl::InternalError(absl::StrCat(
-          "level ", i + 1, " holds a point that its tile does not have"));
-    }
-  }
-  return counts;
-}
 
 /// Points in memory as tiles that are one unit.
 class MemoryLevelStore final : public LevelStore {
@@ -242,25 +466,12 @@ int LevelOfSpacing(const SpdfOptions& options, double spacing_m) {
   return level;
 }
 
-absl::StatusOr<DepthCounts> ComputeDepths(LevelStore& store,
-                                          const Lattice& lattice,
-                                          const SpdfOptions& options,
-                                          const TilingOptions& tiling,
-                                          const ExecutionContext& context) {
+absl::Status ComputeDepths(LevelStore& store, PreviousLevels* previous,
+                           const Lattice& lattice, const SpdfOptions& options,
+                           const TilingOptions& tiling,
+                           const ExecutionContext& context) {
   MAPSIEVE_RETURN_IF_ERROR(options.Validate(lattice));
-  std::vector<TileInfo> cells = store.Tiles();
-  int node_level = cells.empty() ? 0 : cells[0].key.level;
-  std::vector<LevelStream> streams;
-  for (int level = 1; level <= kMaxDepth; ++level) {
-    LevelNodes nodes(store, level - 1, std::move(cells), node_level);
-    MAPSIEVE_ASSIGN_OR_RETURN(cells, MakeLevel(level, nodes, store, lattice,
-                                               options, tiling, context));
-    streams.emplace_back(store, level, cells);
-    node_level =
-        std::max(node_level, std::min(node_level + 1, kMaxMemoryTileLevel));
-    context.ReportProgress(level, kMaxDepth);
-  }
-  return EmitDepths(store, streams, context);
+  return DepthsRun(store, previous, lattice, options, tiling, context).Run();
 }
 
 absl::StatusOr<std::vector<uint8_t>> ComputeDepths(
@@ -270,7 +481,7 @@ absl::StatusOr<std::vector<uint8_t>> ComputeDepths(
   const TilingOptions tiling = {.max_unit_points =
                                     static_cast<int64_t>(points.size())};
   MAPSIEVE_RETURN_IF_ERROR(
-      ComputeDepths(store, lattice, options, tiling, context).status());
+      ComputeDepths(store, nullptr, lattice, options, tiling, context));
   return store.TakeDepths();
 }
 

@@ -1,7 +1,6 @@
 #ifndef MAPSIEVE_CORE_SPDF_LEVELS_H_
 #define MAPSIEVE_CORE_SPDF_LEVELS_H_
 
-#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -36,9 +35,6 @@ double LevelSpacing(const SpdfOptions& options, int level);
 /// none.
 int LevelOfSpacing(const SpdfOptions& options, double spacing_m);
 
-/// Points by depth.
-using DepthCounts = std::array<int64_t, kMaxDepth + 1>;
-
 /// Where the levels find their points by cells and put what becomes of them.
 /// LoadPoints is called from several threads at once, the others from one.
 class LevelStore {
@@ -56,27 +52,53 @@ class LevelStore {
                                              std::span<LatticePoint> room) = 0;
 
   /// Keeps the points of level `level`, 1 to kMaxDepth, in a cell until the end
-  /// of the run; called once at most for each.
+  /// of the run; called once at most for each, with at least a point.
   virtual absl::Status StorePoints(int level, const CellKey& cell,
                                    std::span<const LatticePoint> points) = 0;
 
-  /// Takes the depth of each point of a tile; called once for every tile, in
+  /// Takes the depth of each point of a tile; called once at most for each, in
   /// their order.
   virtual absl::Status EmitDepths(const CellKey& tile,
                                   std::span<const uint8_t> depths) = 0;
 };
 
-/// Computes the depths of all points of `store`. Level by level, units of nodes
-/// are loaded with a halo of their radius: a node is a cell of the tiles'
-/// level, one level coarser for each level of detail, since it then holds about
-/// as many points. Neither tiles nor max_unit_points, order or worker count
-/// show in the result. Memory: a unit, and one node a level. Errors:
-/// kInvalidArgument (options), kCancelled, those of `store`.
-absl::StatusOr<DepthCounts> ComputeDepths(LevelStore& store,
-                                          const Lattice& lattice,
-                                          const SpdfOptions& options,
-                                          const TilingOptions& tiling,
-                                          const ExecutionContext& context);
+/// The levels of an earlier set of points from which that of a LevelStore
+/// differs in some tiles. Load is called from several threads at once.
+class PreviousLevels {
+ public:
+  virtual ~PreviousLevels() = default;
+
+  /// Every tile whose points of level 0 may be others now, those that came or
+  /// went included; of the store's level of cells, in Morton order.
+  virtual std::vector<CellKey> ChangedTiles() const = 0;
+
+  /// At least as many as the points of level `level`, 0 to kMaxDepth, that the
+  /// tile held.
+  virtual int64_t CountAtMost(int level, const CellKey& tile) const = 0;
+
+  /// Writes those points in Morton order, the same at each call, to `room`, as
+  /// large as CountAtMost, and returns how many they are.
+  virtual absl::StatusOr<int64_t> Load(int level, const CellKey& tile,
+                                       std::span<LatticePoint> room) = 0;
+};
+
+/// Computes the depths of the points of `store` and emits those of every tile,
+/// or, given the levels of `previous` points (of the same options), those of
+/// every changed tile and of every other one in which a depth changed. Only
+/// what lies within reach of a difference is made again: whether a point of
+/// level i is part of level i + 1 depends on the points of level i within the
+/// radius of level i + 1 and on nothing else.
+///
+/// Level by level, units of nodes are loaded with a halo of their radius: a
+/// node is a cell of the tiles' level, one level coarser for each level of
+/// detail, since it then holds about as many points. Neither tiles nor
+/// max_unit_points, order, worker count or `previous` show in the depths.
+/// Memory: a unit, and one node a level. Errors: kInvalidArgument (options),
+/// kCancelled, those of `store` and `previous`.
+absl::Status ComputeDepths(LevelStore& store, PreviousLevels* previous,
+                           const Lattice& lattice, const SpdfOptions& options,
+                           const TilingOptions& tiling,
+                           const ExecutionContext& context);
 
 /// The same of points in memory, distinct and in Morton order: one depth a
 /// point.

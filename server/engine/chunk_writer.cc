@@ -41,6 +41,24 @@ int64_t DecodedPointBytes(const LatticeCloud& cloud) {
   return static_cast<int64_t>(bytes);
 }
 
+absl::StatusOr<ChunkRef> DescribeChunk(storage::ChunkKind kind,
+                                       const core::CellKey& tile,
+                                       const LatticeCloud& points) {
+  ChunkRef chunk = {.kind = kind,
+                    .tile = tile,
+                    .point_count = static_cast<int64_t>(points.size()),
+                    .bounds = TightBox(points.positions)};
+  if (kind == storage::ChunkKind::kProduct) {
+    MAPSIEVE_ASSIGN_OR_RETURN(chunk.label_counts, CountLabels(points));
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
+                              DepthsOf(points));
+    const auto [min, max] = std::minmax_element(depths.begin(), depths.end());
+    chunk.min_depth = *min;
+    chunk.max_depth = *max;
+  }
+  return chunk;
+}
+
 ChunkWriter::ChunkWriter(storage::Store& store, storage::ChunkKind kind,
                          int64_t max_chunk_bytes, Executor& executor)
     : kind_(kind),
@@ -85,21 +103,10 @@ absl::StatusOr<std::vector<ChunkRef>> ChunkWriter::WriteTile(
 
 absl::StatusOr<ChunkRef> ChunkWriter::WriteChunk(
     const core::CellKey& tile, const LatticeCloud& points) const {
+  MAPSIEVE_ASSIGN_OR_RETURN(ChunkRef chunk, DescribeChunk(kind_, tile, points));
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
                             core::EncodePoints(points));
-  ChunkRef chunk = {.kind = kind_,
-                    .tile = tile,
-                    .point_count = static_cast<int64_t>(points.size()),
-                    .stored_bytes = static_cast<int64_t>(block.size()),
-                    .bounds = TightBox(points.positions)};
-  if (kind_ == storage::ChunkKind::kProduct) {
-    MAPSIEVE_ASSIGN_OR_RETURN(chunk.label_counts, CountLabels(points));
-    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
-                              DepthsOf(points));
-    const auto [min, max] = std::minmax_element(depths.begin(), depths.end());
-    chunk.min_depth = *min;
-    chunk.max_depth = *max;
-  }
+  chunk.stored_bytes = static_cast<int64_t>(block.size());
   MAPSIEVE_ASSIGN_OR_RETURN(chunk.blob_id, blobs_->Put(block));
   return chunk;
 }

@@ -28,6 +28,12 @@ struct TileCloud {
 /// Memory of a decoded point of `cloud`, its flags of missing values included.
 int64_t DecodedPointBytes(const core::LatticeCloud& cloud);
 
+/// What a reference says of the content of a chunk: kind, tile, counts, box,
+/// depths. kDataLoss: product columns are missing, or hold what they cannot.
+absl::StatusOr<storage::ChunkRef> DescribeChunk(
+    storage::ChunkKind kind, const core::CellKey& tile,
+    const core::LatticeCloud& points);
+
 /// Makes chunks of one kind out of the points of tiles and stores them. The
 /// chunks are safe from collection while the writer lives: destroy it after
 /// the commit. Used by one thread at a time.

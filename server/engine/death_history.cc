@@ -75,17 +75,27 @@ absl::StatusOr<std::vector<ChunkRef>> DeathHistoryWriter::Write(
 }
 
 absl::StatusOr<std::vector<DeathRound>> ReadDeaths(
+    const storage::ReadSnapshot& snapshot, const ChunkRef& chunk) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> bytes,
+                            snapshot.ReadChunk(chunk));
+  std::vector<DeathRound> deaths;
+  MAPSIEVE_RETURN_IF_ERROR(
+      Annotate(Decode(bytes, chunk.point_count, deaths),
+               absl::StrCat("blob ", chunk.blob_id, " of tile ",
+                            chunk.tile.ToString())));
+  return deaths;
+}
+
+absl::StatusOr<std::vector<DeathRound>> ReadDeaths(
     const storage::ReadSnapshot& snapshot, const core::CellKey& tile) {
   MAPSIEVE_ASSIGN_OR_RETURN(
       const std::vector<ChunkRef> chunks,
       snapshot.ListTileChunks(storage::ChunkKind::kHistory, tile));
   std::vector<DeathRound> deaths;
   for (const ChunkRef& chunk : chunks) {
-    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> bytes,
-                              snapshot.ReadChunk(chunk));
-    MAPSIEVE_RETURN_IF_ERROR(Annotate(
-        Decode(bytes, chunk.point_count, deaths),
-        absl::StrCat("blob ", chunk.blob_id, " of tile ", tile.ToString())));
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<DeathRound> part,
+                              ReadDeaths(snapshot, chunk));
+    deaths.insert(deaths.end(), part.begin(), part.end());
   }
   return deaths;
 }

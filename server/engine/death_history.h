@@ -32,6 +32,11 @@ class DeathHistoryWriter {
   const std::unique_ptr<storage::BlobWriter> blobs_;
 };
 
+/// What one chunk of the snapshot's map holds. kDataLoss, naming blob and tile:
+/// damaged.
+absl::StatusOr<std::vector<core::DeathRound>> ReadDeaths(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk);
+
 /// What was written for the tile; empty if nothing was. kDataLoss, naming blob
 /// and tile: damaged.
 absl::StatusOr<std::vector<core::DeathRound>> ReadDeaths(

@@ -18,6 +18,7 @@
 #include "server/engine/process_map.h"
 #include "server/engine/region_query.h"
 #include "server/engine/revision_report.h"
+#include "server/engine/verify_map.h"
 #include "storage/file_system.h"
 #include "storage/names.h"
 #include "storage/store.h"
@@ -495,6 +496,13 @@ class LocalEngine final : public Engine {
   absl::StatusOr<std::unique_ptr<QueryCursor>> Query(
       const QuerySpec& spec, std::stop_token stop) override {
     return OpenQuery(*store_, query_memory_, spec, std::move(stop));
+  }
+
+  // Verification.
+
+  absl::StatusOr<std::unique_ptr<VerifyCursor>> Verify(
+      const VerifySpec& spec, std::stop_token stop) override {
+    return OpenVerification(*store_, query_memory_, spec, std::move(stop));
   }
 
  private:

@@ -16,6 +16,7 @@
 #include "core/spdf/spdf_options.h"
 #include "server/engine/query.h"
 #include "server/engine/types.h"
+#include "server/engine/verify.h"
 
 namespace mapsieve::storage {
 class FileSystem;
@@ -214,6 +215,15 @@ class Engine {
   /// processed up to it.
   virtual absl::StatusOr<std::unique_ptr<QueryCursor>> Query(
       const QuerySpec& spec, std::stop_token stop) = 0;
+
+  // Verification.
+
+  /// Begins to read every stored chunk of a map, of all revisions, and to
+  /// filter some tiles again; stops soon once `stop` asks for it.
+  /// kInvalidArgument; kFailedPrecondition: tiles are to be compared, and the
+  /// map was never processed.
+  virtual absl::StatusOr<std::unique_ptr<VerifyCursor>> Verify(
+      const VerifySpec& spec, std::stop_token stop) = 0;
 };
 
 }  // namespace mapsieve::engine

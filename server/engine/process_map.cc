@@ -194,7 +194,7 @@ class MapRun {
         .max_confidence = summary.max_confidence,
         .kept = tiles_->histogram().CountKept(
             core::OutlierTest(summary.max_confidence, options_.outlier_share))};
-    return Commit(totals, {.removes_product = true});
+    return Commit(totals, {.removes_product = true}, nullptr);
   }
 
   /// Filters what has changed.
@@ -233,16 +233,15 @@ class MapRun {
         }));
     MAPSIEVE_RETURN_IF_ERROR(ForEachChunk(
         snapshot_, ChunkKind::kProduct, [&](const ChunkRef& chunk) {
-          if (!replaced.contains(chunk.tile)) {
-            levels_->Keep(chunk);
-            return absl::OkStatus();
-          }
+          const bool is_kept = !replaced.contains(chunk.tile);
+          levels_->AddPrevious(chunk, is_kept);
+          if (is_kept) return absl::OkStatus();
           change.removed.push_back(chunk.number);
           totals.survivor_count -= chunk.point_count;
           return CountConfidences(snapshot_, chunk, gone);
         }));
     MAPSIEVE_RETURN_IF_ERROR(CountOutliers(before, gone, replaced, totals));
-    return Commit(totals, std::move(change));
+    return Commit(totals, std::move(change), &previous);
   }
 
  private:
@@ -320,17 +319,26 @@ class MapRun {
     return absl::OkStatus();
   }
 
+  /// `previous`: null for none.
   absl::StatusOr<ProcessReport> Commit(const ProductTotals& totals,
-                                       storage::RevisionChange change) {
-    levels_->LeaveOut(
-        core::OutlierTest(totals.max_confidence, options_.outlier_share));
-    MAPSIEVE_RETURN_IF_ERROR(
-        core::ComputeDepths(*levels_, lattice_, options_, tiling_,
-                            {.executor = context_.executor,
-                             .stop = context_.stop,
-                             .progress = progress_.levels()})
-            .status());
-    MAPSIEVE_RETURN_IF_ERROR(levels_->Flush());
+                                       storage::RevisionChange change,
+                                       const Previous* previous) {
+    std::optional<LevelCounts> counts_before;
+    if (previous != nullptr &&
+        totals.max_confidence ==
+            previous->snapshot->revision().spec.product->max_confidence) {
+      counts_before = previous->report.level_counts;
+    }
+    levels_->StartCounts(
+        core::OutlierTest(totals.max_confidence, options_.outlier_share),
+        counts_before);
+    MAPSIEVE_RETURN_IF_ERROR(core::ComputeDepths(
+        *levels_, previous == nullptr ? nullptr : levels_.get(), lattice_,
+        options_, tiling_,
+        {.executor = context_.executor,
+         .stop = context_.stop,
+         .progress = progress_.levels()}));
+    MAPSIEVE_RETURN_IF_ERROR(levels_->Finish());
     MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
     const storage::RevisionRecord& base = snapshot_.revision();
     ProcessReport report = {

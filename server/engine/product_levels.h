@@ -16,6 +16,7 @@
 #include "core/spdf/labels.h"
 #include "core/spdf/levels.h"
 #include "server/engine/chunk_writer.h"
+#include "server/engine/product_chunk.h"
 #include "server/engine/types.h"
 #include "storage/store.h"
 
@@ -23,10 +24,11 @@ namespace mapsieve::engine {
 
 /// The tiles of a product on their way to chunks by depth: takes what the
 /// filter made of some tiles and keeps it in scratch files, knows the chunks of
-/// the others, and once core::ComputeDepths has run over all of them, has
-/// written chunks of the new tiles and of those whose depths changed. Memory:
-/// answers up to a limit, or one tile.
-class ProductLevels final : public core::LevelStore {
+/// the others, and once core::ComputeDepths has run over them, has written
+/// chunks of the new tiles and of those whose depths changed. Memory: answers
+/// up to a limit, or one tile.
+class ProductLevels final : public core::LevelStore,
+                            public core::PreviousLevels {
  public:
   struct Options {
     /// Decoded points that are written at a time.
@@ -38,16 +40,23 @@ class ProductLevels final : public core::LevelStore {
     std::stop_token stop;
   };
 
-  /// `snapshot`: what Keep refers to. The references outlive the object.
+  /// `snapshot`: what AddPrevious refers to. The references outlive the object.
   ProductLevels(storage::Store& store, const storage::ReadSnapshot& snapshot,
                 storage::Scratch& scratch, const Options& options);
 
   /// Takes new tiles: clouds of MakeProductCloud in Morton order, at least a
   /// point each. Errors of storage; kCancelled.
   absl::Status Add(std::vector<TileCloud> clouds);
-  /// A product chunk of the snapshot in a tile that is not new.
-  void Keep(const storage::ChunkRef& chunk);
+  /// A product chunk of the snapshot. `is_kept`: in a tile that is as it was,
+  /// else in one that is new or gone.
+  void AddPrevious(const storage::ChunkRef& chunk, bool is_kept);
 
+  /// What level_counts leaves out, and if it is the same as before, the counts
+  /// then; to be called before ComputeDepths.
+  void StartCounts(const core::OutlierTest& outliers,
+                   const std::optional<LevelCounts>& counts_before);
+
+  // core::LevelStore
   std::vector<core::TileInfo> Tiles() const override;
   absl::StatusOr<int64_t> LoadPoints(
       int level, const core::CellKey& cell,
@@ -57,11 +66,15 @@ class ProductLevels final : public core::LevelStore {
   absl::Status EmitDepths(const core::CellKey& tile,
                           std::span<const uint8_t> depths) override;
 
-  /// What level_counts leaves out; to be called before ComputeDepths.
-  void LeaveOut(const core::OutlierTest& outliers) { outliers_ = outliers; }
+  // core::PreviousLevels
+  std::vector<core::CellKey> ChangedTiles() const override;
+  int64_t CountAtMost(int level, const core::CellKey& tile) const override;
+  absl::StatusOr<int64_t> Load(int level, const core::CellKey& tile,
+                               std::span<core::LatticePoint> room) override;
 
-  /// Writes what is pending; to be called after ComputeDepths.
-  absl::Status Flush();
+  /// Writes what is pending and completes the counts; to be called after
+  /// ComputeDepths.
+  absl::Status Finish();
 
   /// References to what was written; safe from collection while this object
   /// lives.
@@ -70,35 +83,48 @@ class ProductLevels final : public core::LevelStore {
   }
   /// Points of each level of detail that are no outliers.
   const LevelCounts& level_counts() const { return level_counts_; }
-  /// Numbers of kept chunks that these replace.
+  /// Numbers of the chunks of kept tiles that these replace.
   const std::vector<int64_t>& replaced() const { return replaced_; }
 
  private:
-  /// Where the points of a tile are: in a scratch file, or in chunks.
-  struct Source {
+  struct Tile {
     int64_t point_count = 0;
-    std::vector<storage::ChunkRef> kept;
+    /// Its points are in a scratch file.
+    bool is_new = false;
+    /// Its points are those of the chunks.
+    bool is_kept = false;
+    bool is_emitted = false;
+    std::vector<storage::ChunkRef> before;
   };
   struct Pending {
     core::CellKey tile;
     std::vector<uint8_t> depths;
   };
 
-  absl::StatusOr<core::LatticeCloud> Load(
+  absl::StatusOr<core::LatticeCloud> LoadNow(
       const core::CellKey& tile, const core::DecodeOptions& options) const;
-  absl::StatusOr<LevelCounts> CountLevels(
-      const core::LatticeCloud& points, std::span<const uint8_t> depths) const;
+  absl::StatusOr<core::LatticeCloud> LoadBefore(
+      const core::CellKey& tile, int min_depth,
+      const core::DecodeOptions& options) const;
+  LevelCounts CountLevels(const LabelColumnView& labels,
+                          std::span<const uint8_t> depths) const;
+  absl::StatusOr<LevelCounts> CountLevelsBefore(
+      const core::CellKey& tile) const;
+  void AddToCounts(const LevelCounts& counts, int64_t sign);
+  absl::Status Flush();
 
   const storage::ReadSnapshot& snapshot_;
   storage::Scratch& scratch_;
   const Options options_;
   const int64_t point_bytes_;
   ChunkWriter chunks_;
-  std::map<core::CellKey, Source, core::CellKeyLess> tiles_;
+  std::map<core::CellKey, Tile, core::CellKeyLess> tiles_;
   std::vector<Pending> pending_;
   int64_t pending_bytes_ = 0;
   std::vector<int64_t> replaced_;
   std::optional<core::OutlierTest> outliers_;
+  /// Counts start with those before: tiles count as differences.
+  bool counts_differences_ = false;
   LevelCounts level_counts_{};
 };
 

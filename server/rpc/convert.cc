@@ -423,6 +423,43 @@ v1::TileChange ToProto(const engine::TileChange& change) {
   return result;
 }
 
+v1::VerifyMapResponse ToProto(const engine::VerifyEvent& event) {
+  v1::VerifyMapResponse result;
+  if (const auto* progress = std::get_if<engine::VerifyProgress>(&event)) {
+    result.mutable_progress()->set_done_count(progress->done_count);
+    result.mutable_progress()->set_total_count(progress->total_count);
+  } else if (const auto* damaged = std::get_if<engine::DamagedChunk>(&event)) {
+    v1::DamagedChunk& chunk = *result.mutable_damaged_chunk();
+    // The numbers are the same.
+    chunk.set_content(static_cast<v1::DamagedChunk::Content>(damaged->content));
+    chunk.set_x(damaged->tile.x);
+    chunk.set_y(damaged->tile.y);
+    chunk.set_z(damaged->tile.z);
+    chunk.set_blob_id(damaged->blob_id);
+    chunk.set_problem(damaged->problem);
+  } else {
+    const auto& differing = std::get<engine::DifferingTile>(event);
+    v1::DifferingTile& tile = *result.mutable_differing_tile();
+    tile.set_x(differing.tile.x);
+    tile.set_y(differing.tile.y);
+    tile.set_z(differing.tile.z);
+    tile.set_difference(differing.difference);
+  }
+  return result;
+}
+
+v1::VerifySummary ToProto(const engine::VerifySummary& summary) {
+  v1::VerifySummary result;
+  result.set_chunk_count(summary.chunk_count);
+  result.set_stored_bytes(summary.stored_bytes);
+  result.set_damaged_chunk_count(summary.damaged_chunk_count);
+  result.set_compared_tile_count(summary.compared_tile_count);
+  result.set_compared_point_count(summary.compared_point_count);
+  result.set_differing_tile_count(summary.differing_tile_count);
+  result.set_skipped_tile_count(summary.skipped_tile_count);
+  return result;
+}
+
 v1::Upload ToProto(std::string_view map_id, const engine::UploadInfo& upload) {
   v1::Upload result;
   result.set_name(UploadNameOf(map_id, upload.spec.upload_id));

@@ -13,6 +13,7 @@
 #include "mapsieve/v1/upload_service.pb.h"
 #include "server/engine/query.h"
 #include "server/engine/types.h"
+#include "server/engine/verify.h"
 
 /// Messages to types of the engine and back. From a message: whatever the
 /// message holds or lacks, the result is a value of the right form or
@@ -75,6 +76,8 @@ v1::MapStats ToProto(std::string_view map_id, const engine::MapStats& stats);
 v1::Revision ToProto(std::string_view map_id,
                      const engine::RevisionInfo& revision);
 v1::TileChange ToProto(const engine::TileChange& change);
+v1::VerifyMapResponse ToProto(const engine::VerifyEvent& event);
+v1::VerifySummary ToProto(const engine::VerifySummary& summary);
 v1::Upload ToProto(std::string_view map_id, const engine::UploadInfo& upload);
 v1::UploadReport ToProto(const engine::UploadReport& report);
 v1::Operation ToProto(const engine::Operation& operation);

@@ -1,11 +1,53 @@
 #include "server/rpc/map_service.h"
 
+#include <memory>
 #include <utility>
 
 #include "core/base/status.h"
 #include "server/rpc/convert.h"
 
 namespace mapsieve::rpc {
+namespace {
+
+// One call of VerifyMap: findings and progress, then a summary.
+class VerifyReactor final : public StreamReactor<v1::VerifyMapResponse> {
+ public:
+  VerifyReactor(CallContext& calls, engine::Engine& engine,
+                const v1::VerifyMapRequest& request)
+      : StreamReactor(calls, "VerifyMap"), engine_(engine), request_(request) {}
+
+ protected:
+  absl::StatusOr<bool> Next(v1::VerifyMapResponse& response) override {
+    if (complete_) return false;
+    if (cursor_ == nullptr) {
+      MAPSIEVE_ASSIGN_OR_RETURN(const auto map_id,
+                                ParseMapName("name", request_.name()));
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          cursor_, engine_.Verify(
+                       {.map_id = map_id,
+                        .compared_tile_count = request_.compared_tile_count()},
+                       stop_token()));
+    }
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto event, cursor_->Next());
+    if (event.has_value()) {
+      response = ToProto(*event);
+      return true;
+    }
+    *response.mutable_summary() = ToProto(cursor_->summary());
+    cursor_.reset();
+    complete_ = true;
+    return true;
+  }
+
+ private:
+  engine::Engine& engine_;
+  // gRPC keeps it until OnDone.
+  const v1::VerifyMapRequest& request_;
+  std::unique_ptr<engine::VerifyCursor> cursor_;
+  bool complete_ = false;
+};
+
+}  // namespace
 
 grpc::ServerUnaryReactor* MapService::CreateMap(
     grpc::CallbackServerContext* context, const v1::CreateMapRequest* request,
@@ -136,6 +178,14 @@ grpc::ServerUnaryReactor* MapService::RollBackMap(
     *response = ToProto(map_id, revision);
     return absl::OkStatus();
   });
+}
+
+grpc::ServerWriteReactor<v1::VerifyMapResponse>* MapService::VerifyMap(
+    grpc::CallbackServerContext* /*context*/,
+    const v1::VerifyMapRequest* request) {
+  auto* reactor = new VerifyReactor(calls_, engine_, *request);
+  reactor->Start(calls_.admission->Admit(CallKind::kQuery));
+  return reactor;
 }
 
 }  // namespace mapsieve::rpc

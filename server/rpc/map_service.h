@@ -43,6 +43,9 @@ class MapService final : public v1::MapService::CallbackService {
   grpc::ServerUnaryReactor* RollBackMap(grpc::CallbackServerContext* context,
                                         const v1::RollBackMapRequest* request,
                                         v1::Revision* response) override;
+  grpc::ServerWriteReactor<v1::VerifyMapResponse>* VerifyMap(
+      grpc::CallbackServerContext* context,
+      const v1::VerifyMapRequest* request) override;
 
  private:
   CallContext& calls_;

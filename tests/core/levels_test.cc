@@ -3,7 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <iterator>
 #include <map>
+#include <random>
+#include <set>
 #include <string>
 #include <tuple>
 #include <utility>
@@ -162,11 +165,18 @@ class SmallLevelStore final : public LevelStore {
   absl::Status EmitDepths(const CellKey& tile,
                           std::span<const uint8_t> depths) override {
     EXPECT_EQ(depths.size(), cells_[0].at(tile).size());
+    EXPECT_TRUE(emitted_tiles.insert(tile).second);
     emitted.insert(emitted.end(), depths.begin(), depths.end());
+    for (size_t i = 0; i < depths.size(); ++i) {
+      depth_of[cells_[0].at(tile)[i]] = depths[i];
+    }
     return absl::OkStatus();
   }
 
+  /// In the order of the points, if all tiles were emitted.
   std::vector<uint8_t> emitted;
+  std::set<CellKey, CellKeyLess> emitted_tiles;
+  std::map<LatticePoint, uint8_t> depth_of;
   int failing_level = -1;
 
  private:
@@ -190,8 +200,6 @@ TEST(Levels, DoNotDependOnTilesUnitsOrWorkers) {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
         const std::vector<uint8_t> expected,
         ComputeDepths(points, cloud.lattice, options));
-    DepthCounts expected_counts{};
-    for (const uint8_t depth : expected) ++expected_counts[depth];
     const int fine = radius_m < 1 ? 7 : 16;
     for (const auto& [level, max_unit_points] :
          {std::pair(fine, int64_t{1}), std::pair(fine + 1, int64_t{300}),
@@ -199,16 +207,155 @@ TEST(Levels, DoNotDependOnTilesUnitsOrWorkers) {
           std::pair(fine + 3, int64_t{100000})}) {
       SCOPED_TRACE(absl::StrCat("level ", level, " of ", radius_m));
       SmallLevelStore store(points, level);
-      MAPSIEVE_ASSERT_OK_AND_ASSIGN(
-          const DepthCounts counts,
-          ComputeDepths(store, cloud.lattice, options,
-                        {.max_unit_points = max_unit_points},
-                        {.executor = max_unit_points > 1 ? pool.get()
-                                                         : &InlineExecutor()}));
+      MAPSIEVE_ASSERT_OK(ComputeDepths(
+          store, nullptr, cloud.lattice, options,
+          {.max_unit_points = max_unit_points},
+          {.executor = max_unit_points > 1 ? pool.get() : &InlineExecutor()}));
       EXPECT_EQ(store.emitted, expected);
-      EXPECT_EQ(counts, expected_counts);
     }
   }
+}
+
+/// Points with their depths as the levels before those of another store.
+class SmallPreviousLevels final : public PreviousLevels {
+ public:
+  SmallPreviousLevels(const std::map<LatticePoint, uint8_t>& depth_of,
+                      std::set<CellKey, CellKeyLess> changed, int tile_level)
+      : changed_(std::move(changed)) {
+    for (const auto& [q, depth] : depth_of) {
+      for (size_t level = 0; level <= depth; ++level) {
+        levels_[level][CellKey::Of(q, tile_level)].push_back(q);
+      }
+    }
+    for (auto& level : levels_) {
+      for (auto& [tile, points] : level) {
+        std::sort(points.begin(), points.end(),
+                  [](const LatticePoint& a, const LatticePoint& b) {
+                    return MortonLess(a, b);
+                  });
+      }
+    }
+  }
+
+  std::vector<CellKey> ChangedTiles() const override {
+    return {changed_.begin(), changed_.end()};
+  }
+  int64_t CountAtMost(int level, const CellKey& tile) const override {
+    const auto& tiles = levels_[static_cast<size_t>(level)];
+    const auto found = tiles.find(tile);
+    if (found == tiles.end()) return 0;
+    return static_cast<int64_t>(found->second.size()) + 2;
+  }
+  absl::StatusOr<int64_t> Load(int level, const CellKey& tile,
+                               std::span<LatticePoint> room) override {
+    if (level == failing_level) return absl::UnavailableError("old disk");
+    const auto& points = levels_[static_cast<size_t>(level)].at(tile);
+    EXPECT_LE(points.size(), room.size());
+    std::copy(points.begin(), points.end(), room.begin());
+    return static_cast<int64_t>(points.size());
+  }
+
+  int failing_level = -1;
+
+ private:
+  std::array<std::map<CellKey, std::vector<LatticePoint>, CellKeyLess>,
+             kMaxDepth + 1>
+      levels_;
+  const std::set<CellKey, CellKeyLess> changed_;
+};
+
+/// A scene after an edit: some points within `radius` of a place gone, others
+/// new there.
+std::vector<LatticePoint> Edited(const std::vector<LatticePoint>& points,
+                                 int64_t radius, std::mt19937_64& random) {
+  const LatticePoint center = points[random() % points.size()];
+  LatticeCloud edited;
+  for (const LatticePoint& q : points) {
+    const bool is_near =
+        std::abs(q.x - center.x) < radius && std::abs(q.y - center.y) < radius;
+    if (is_near && random() % 2 == 0) continue;
+    edited.positions.push_back(q);
+    if (is_near && random() % 2 == 0) {
+      edited.positions.push_back({q.x + 3, q.y - 5, q.z + 2});
+    }
+  }
+  return Distinct(edited);
+}
+
+TEST(Levels, OfChangedPointsAreMadeFromThoseBefore) {
+  const auto pool = MakeWorkerPool(2);
+  const SpdfOptions options = {.neighbor_count = 10, .density_radius_m = 0.01};
+  std::mt19937_64 random(50);
+  size_t skipped_tiles = 0;
+  for (const int tile_level : {5, 7, 9}) {
+    std::vector<LatticePoint> points =
+        Distinct(clouds::SceneCloud(2000, 2.0, 51));
+    std::map<LatticePoint, uint8_t> depth_of;
+    SmallLevelStore first(points, tile_level);
+    MAPSIEVE_ASSERT_OK(
+        ComputeDepths(first, nullptr, Lattice(), options, {}, {}));
+    depth_of = first.depth_of;
+    constexpr int kEdits = 10;
+    for (int edit = 0; edit < kEdits; ++edit) {
+      SCOPED_TRACE(absl::StrCat("tile level ", tile_level, " edit ", edit));
+      // The last edit takes everything away, but for one point.
+      const std::vector<LatticePoint> now =
+          edit + 1 < kEdits ? Edited(points, edit % 3 == 0 ? 100 : 4, random)
+                            : std::vector<LatticePoint>{points.back()};
+      std::set<CellKey, CellKeyLess> changed;
+      // A tile may be said to have changed though it has not.
+      changed.insert(CellKey::Of(points.front(), tile_level));
+      const std::set<LatticePoint> before(points.begin(), points.end());
+      const std::set<LatticePoint> after(now.begin(), now.end());
+      std::vector<LatticePoint> differing;
+      std::set_symmetric_difference(before.begin(), before.end(), after.begin(),
+                                    after.end(), std::back_inserter(differing));
+      for (const LatticePoint& q : differing) {
+        changed.insert(CellKey::Of(q, tile_level));
+      }
+      SmallPreviousLevels previous(depth_of, changed, tile_level);
+      SmallLevelStore store(now, tile_level);
+      MAPSIEVE_ASSERT_OK(ComputeDepths(
+          store, &previous, Lattice(), options,
+          {.max_unit_points = edit % 2 == 0 ? 1 : 100'000},
+          {.executor = edit % 2 == 0 ? &InlineExecutor() : pool.get()}));
+
+      SmallLevelStore scratch(now, tile_level);
+      MAPSIEVE_ASSERT_OK(
+          ComputeDepths(scratch, nullptr, Lattice(), options, {}, {}));
+      for (const TileInfo& tile : scratch.Tiles()) {
+        skipped_tiles += store.emitted_tiles.contains(tile.key) ? 0 : 1;
+        EXPECT_TRUE(store.emitted_tiles.contains(tile.key) ||
+                    !changed.contains(tile.key));
+      }
+      std::map<LatticePoint, uint8_t> expected = scratch.depth_of;
+      for (const auto& [q, depth] : expected) {
+        const bool is_emitted =
+            store.emitted_tiles.contains(CellKey::Of(q, tile_level));
+        ASSERT_EQ(is_emitted ? store.depth_of.at(q) : depth_of.at(q), depth);
+      }
+      points = now;
+      depth_of = std::move(expected);
+    }
+  }
+  EXPECT_GT(skipped_tiles, 1000u);
+}
+
+TEST(Levels, OfNoPointsAfterSomeAreEmpty) {
+  const std::vector<LatticePoint> points =
+      Distinct(clouds::SceneCloud(300, 0.5, 60));
+  SmallLevelStore before(points, 8);
+  MAPSIEVE_ASSERT_OK(
+      ComputeDepths(before, nullptr, Lattice(), SpdfOptions(), {}, {}));
+  SmallPreviousLevels previous(before.depth_of, before.emitted_tiles, 8);
+  SmallLevelStore store({}, 8);
+  MAPSIEVE_ASSERT_OK(
+      ComputeDepths(store, &previous, Lattice(), SpdfOptions(), {}, {}));
+  EXPECT_TRUE(store.emitted_tiles.empty());
+  previous.failing_level = 2;
+  SmallLevelStore again(points, 8);
+  EXPECT_THAT(ComputeDepths(again, &previous, Lattice(), SpdfOptions(), {}, {}),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("old disk")));
 }
 
 TEST(Levels, OfNoPointsAreEmpty) {
@@ -232,7 +379,7 @@ TEST(Levels, RefuseBadOptionsAndPassOnErrors) {
   for (const int level : {0, 1, kMaxDepth}) {
     SmallLevelStore store(points, 10);
     store.failing_level = level;
-    EXPECT_THAT(ComputeDepths(store, Lattice(), SpdfOptions(), {}, {}),
+    EXPECT_THAT(ComputeDepths(store, nullptr, Lattice(), SpdfOptions(), {}, {}),
                 StatusIs(absl::StatusCode::kUnavailable, HasSubstr("disk")));
   }
 }

@@ -248,6 +248,38 @@ class MainPath(unittest.TestCase):
         answer = self.mapsieve("query", "kept", "-o", self.work / "kept.ply")
         self.assertEqual(answer["point_count"], before["point_count"])
 
+    def test_verify_finds_damage_and_nothing_else(self):
+        source = self.work / "whole.las"
+        self.mapsieve("simulate", source, "--points", 50000, "--seed", 5)
+        self.mapsieve("create", "whole")
+        self.mapsieve("upload", "whole", source)
+        self.fails("verify", "whole", "--tiling", message="never processed")
+        self.mapsieve("process", "whole", "--rho", "0.2")
+        blobs = self.work / "data" / "blobs"
+        report = self.mapsieve("verify", "whole", "--tiling", "--tiles", 5)
+        self.assertEqual(report["damaged_chunks"], [])
+        self.assertEqual(report["differing_tiles"], [])
+        self.assertEqual(report["compared_tile_count"], 5)
+        self.assertGreater(report["compared_point_count"], 100)
+
+        # Damage one stored object after the other, if it is of this map.
+        for victim in sorted(blobs.glob("??/*")):
+            whole = victim.read_bytes()
+            victim.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+            result = self.run_command("verify", "whole")
+            victim.write_bytes(whole)
+            if result.returncode == 0:
+                continue
+            self.assertEqual(result.returncode, 1)
+            self.assertEqual(len(result.stderr.splitlines()), 1)
+            damaged, = json.loads(result.stdout)["damaged_chunks"]
+            self.assertEqual(damaged["blob"], victim.name)
+            self.assertIn("whole", damaged["problem"])
+            break
+        else:
+            self.fail("no damage was found")
+        self.mapsieve("verify", "whole")
+
     def test_delete_removes_the_map_only(self):
         self.mapsieve("create", "kept-map")
         self.mapsieve("create", "gone")

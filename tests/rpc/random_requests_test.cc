@@ -175,6 +175,15 @@ TEST_F(RandomRequestsTest, AreAnsweredAndNeverEndTheServer) {
       ExpectAnswered("QueryRegion", stream->Finish());
     }
     {
+      v1::VerifyMapRequest request;
+      filler.Fill(request);
+      const auto context = c.NewContext();
+      const auto stream = c.maps->VerifyMap(context.get(), request);
+      for (v1::VerifyMapResponse response; stream->Read(&response);) {
+      }
+      ExpectAnswered("VerifyMap", stream->Finish());
+    }
+    {
       const auto context = c.NewContext();
       const auto stream = c.uploads->WriteUpload(context.get());
       for (int i = 0; i < 3; ++i) {

@@ -275,6 +275,13 @@ TEST_P(CatalogueTest, AnUploadThatWasRolledBackBeginsAnew) {
   EXPECT_EQ(again.state, UploadState::kActive);
   finalize(again, 4);
   EXPECT_EQ(MakeUpload(map, "b").uid, again.uid);
+  // Back to where the first one had brought the points in.
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 3).status());
+  const UploadRecord first = MakeUpload(map, "b");
+  EXPECT_EQ(first.state, UploadState::kFinalized);
+  EXPECT_EQ(first.revision, 3);
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 5).status());
+  EXPECT_EQ(MakeUpload(map, "b").revision, 5);
 }
 
 }  // namespace

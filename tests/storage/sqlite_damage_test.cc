@@ -200,11 +200,11 @@ TEST_F(SqliteDamageTest, ForeignAndNewerDatabasesAreRefused) {
   {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto database,
                                   SqliteDatabase::Open(path_));
-    MAPSIEVE_ASSERT_OK(database->Execute("PRAGMA user_version = 3"));
+    MAPSIEVE_ASSERT_OK(database->Execute("PRAGMA user_version = 4"));
   }
   EXPECT_THAT(OpenSqliteCatalogue(path_, IfAbsent::kCreate),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       AllOf(HasSubstr("version 3"), HasSubstr("version 2"))));
+                       AllOf(HasSubstr("version 4"), HasSubstr("version 3"))));
 }
 
 TEST_F(SqliteDamageTest, AnAbsentCatalogueIsMadeOnlyWhereAskedFor) {
