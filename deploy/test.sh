@@ -41,15 +41,19 @@ $long && filter=()
 ctest --test-dir build/release -j "$jobs" --output-on-failure --no-tests=error \
   "${filter[@]}" --output-junit "$PWD/$results/release.xml" | tail -n 40 || true
 
-# The sanitizers run whole test programs: one process a program is many times
-# faster than one a test.
+# The sanitizers run whole test programs, each in as many parts as there are
+# processors: one process a part is many times faster than one a test.
 run_programs() {  # BUILD PROGRAM…
-  local build=$1; shift
-  printf '%s\n' "$@" | xargs -P "$jobs" -I{} sh -c '
-    if "build/$1/bin/{}" --gtest_brief=1 --gtest_output="xml:$2/$1-{}.xml" >"$2/$1-{}.log" 2>&1
-    then echo "$1 {}: passed"
-    else echo "$1 {}: FAILED"; tail -n 80 "$2/$1-{}.log"; [ -e "$2/$1-{}.xml" ] || touch "$2/$1-{}.died"; fi
-  ' sh "$build" "$results"
+  local build=$1 program part; shift
+  for program; do
+    for ((part = 0; part < jobs; ++part)); do echo "$program $part"; done
+  done | xargs -P "$jobs" -L 1 sh -c '
+    export GTEST_TOTAL_SHARDS="$3" GTEST_SHARD_INDEX="$5"
+    name="$1-$4-$5"
+    if "build/$1/bin/$4" --gtest_brief=1 --gtest_output="xml:$2/$name.xml" >"$2/$name.log" 2>&1
+    then echo "$1 $4, part $5: passed"
+    else echo "$1 $4, part $5: FAILED"; tail -n 80 "$2/$name.log"; [ -e "$2/$name.xml" ] || touch "$2/$name.died"; fi
+  ' sh "$build" "$results" "$jobs"
 }
 
 step "ASan and UBSan build"

@@ -8,6 +8,21 @@
 
 namespace mapsieve::client {
 
+size_t UploadBlockPoints(std::span<const core::ColumnSpec> attributes) {
+  constexpr size_t kMaxPoints = 65536;
+  constexpr size_t kMaxBytes = size_t{4} << 20;
+  size_t point_bytes = sizeof(core::LatticePoint);
+  for (const core::ColumnSpec& spec : attributes) {
+    // A byte more for the flag of a missing value.
+    point_bytes += core::ScalarSize(spec.type) + 1;
+  }
+  return std::clamp(kMaxBytes / point_bytes, size_t{1}, kMaxPoints);
+}
+
+CloudBlocks::CloudBlocks(const core::LatticeCloud& cloud)
+    : cloud_(cloud),
+      block_points_(UploadBlockPoints(cloud.attributes.specs())) {}
+
 absl::Status CloudBlocks::Rewind() {
   next_ = 0;
   return absl::OkStatus();
@@ -15,8 +30,7 @@ absl::Status CloudBlocks::Rewind() {
 
 absl::StatusOr<std::vector<std::byte>> CloudBlocks::NextBlock() {
   if (next_ == cloud_.size()) return std::vector<std::byte>();
-  std::vector<uint32_t> rows(
-      std::min(kUploadBlockPoints, cloud_.size() - next_));
+  std::vector<uint32_t> rows(std::min(block_points_, cloud_.size() - next_));
   std::iota(rows.begin(), rows.end(), static_cast<uint32_t>(next_));
   next_ += rows.size();
   return core::EncodePoints(cloud_.Select(rows));

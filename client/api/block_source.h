@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -24,20 +25,22 @@ class BlockSource {
   virtual core::RefusedCounts refused() const = 0;
 };
 
-/// Points of an upload's block at most: large enough to compress well, small
-/// enough to hold many of.
-inline constexpr size_t kUploadBlockPoints = 65536;
+/// Points of a block of an upload at most, if each has these attributes: enough
+/// to compress well, and few enough for the decoded block (4 MiB) to fit a
+/// server of any memory.
+size_t UploadBlockPoints(std::span<const core::ColumnSpec> attributes);
 
 /// Blocks of a cloud in memory, which must outlive the source.
 class CloudBlocks final : public BlockSource {
  public:
-  explicit CloudBlocks(const core::LatticeCloud& cloud) : cloud_(cloud) {}
+  explicit CloudBlocks(const core::LatticeCloud& cloud);
   absl::Status Rewind() override;
   absl::StatusOr<std::vector<std::byte>> NextBlock() override;
   core::RefusedCounts refused() const override { return {}; }
 
  private:
   const core::LatticeCloud& cloud_;
+  const size_t block_points_;
   size_t next_ = 0;
 };
 

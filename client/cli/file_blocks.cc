@@ -24,11 +24,12 @@ absl::Status FileBlocks::Rewind() {
 }
 
 absl::StatusOr<std::vector<std::byte>> FileBlocks::NextBlock() {
+  const size_t block_points = UploadBlockPoints(reader_->info().attributes);
   while (ready_.empty()) {
     std::vector<core::PointCloud> batches;
     while (batches.size() < static_cast<size_t>(workers_->worker_count())) {
       MAPSIEVE_ASSIGN_OR_RETURN(core::PointCloud batch,
-                                reader_->ReadBatch(kUploadBlockPoints));
+                                reader_->ReadBatch(block_points));
       if (batch.size() == 0) break;
       batches.push_back(std::move(batch));
     }

@@ -1,5 +1,6 @@
 #include "client/api/block_source.h"
 
+#include "core/codec/points_codec.h"
 #include "tests/testing/clouds.h"
 #include "tests/testing/status_matchers.h"
 
@@ -40,6 +41,29 @@ void ExpectAllBlocks(BlockSource& source) {
                                 source.NextBlock());
   EXPECT_TRUE(end.empty());
   EXPECT_EQ(source.refused().non_finite, 3);
+}
+
+TEST(CloudBlocks, HaveFewPointsIfTheyAreWide) {
+  core::LatticeCloud cloud;
+  cloud.positions.resize(70'000);
+  EXPECT_EQ(UploadBlockPoints({}), 65536u);
+  for (int i = 0; i < 30; ++i) {
+    MAPSIEVE_ASSERT_OK(cloud.attributes.Add(core::Column(
+        {absl::StrCat("a", i), core::ScalarType::kFloat64}, cloud.size())));
+  }
+  CloudBlocks blocks(cloud);
+  MAPSIEVE_ASSERT_OK(blocks.Rewind());
+  size_t points = 0;
+  while (points < cloud.size()) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<std::byte> block,
+                                  blocks.NextBlock());
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const core::LatticeCloud part,
+        core::DecodePoints(block, {.max_decoded_bytes = 4 << 20}));
+    ASSERT_GT(part.size(), 10'000u);
+    points += part.size();
+  }
+  EXPECT_EQ(points, cloud.size());
 }
 
 TEST(KeptBlocks, AreMadeOnceIfTheyFit) {
