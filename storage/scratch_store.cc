@@ -32,36 +32,61 @@ absl::StatusOr<std::unique_ptr<Scratch>> Scratch::Create(
     const SpaceReserve& reserve) {
   MAPSIEVE_RETURN_IF_ERROR(file_system.RemoveTree(directory));
   MAPSIEVE_RETURN_IF_ERROR(file_system.MakeDirectories(directory));
-  return std::unique_ptr<Scratch>(
-      new Scratch(file_system, std::move(directory), reserve));
+  return std::unique_ptr<Scratch>(new Scratch(file_system, std::move(directory),
+                                              reserve, /*is_lasting=*/false));
+}
+
+absl::StatusOr<std::unique_ptr<Scratch>> Scratch::OpenLasting(
+    FileSystem& file_system, std::string directory,
+    const SpaceReserve& reserve) {
+  MAPSIEVE_RETURN_IF_ERROR(file_system.MakeDirectories(directory));
+  return std::unique_ptr<Scratch>(new Scratch(file_system, std::move(directory),
+                                              reserve, /*is_lasting=*/true));
 }
 
 Scratch::Scratch(FileSystem& file_system, std::string directory,
-                 const SpaceReserve& reserve)
+                 const SpaceReserve& reserve, bool is_lasting)
     : file_system_(file_system),
       directory_(std::move(directory)),
-      reserve_(reserve) {}
+      reserve_(reserve),
+      is_lasting_(is_lasting) {}
 
 Scratch::~Scratch() {
+  if (is_lasting_) return;
   // What stays is removed when the store is opened again.
   file_system_.RemoveTree(directory_).IgnoreError();
 }
 
-absl::Status Scratch::Write(const std::string& name,
-                            std::span<const std::byte> bytes) {
+absl::Status Scratch::CheckWrite(const std::string& name, int64_t size) const {
   MAPSIEVE_RETURN_IF_ERROR(CheckName(name));
-  const auto size = static_cast<int64_t>(bytes.size());
   if (size > kMaxBytes) {
     return absl::InvalidArgumentError(absl::StrCat("scratch ", name, " of ",
                                                    size, " bytes: at most ",
                                                    kMaxBytes, " are kept"));
   }
-  MAPSIEVE_RETURN_IF_ERROR(reserve_.Check(size));
+  return reserve_.Check(size);
+}
+
+absl::Status Scratch::Write(const std::string& name,
+                            std::span<const std::byte> bytes) {
+  const auto size = static_cast<int64_t>(bytes.size());
+  MAPSIEVE_RETURN_IF_ERROR(CheckWrite(name, size));
   MAPSIEVE_ASSIGN_OR_RETURN(
       const auto file,
       file_system_.Open(JoinPath(directory_, name), OpenMode::kCreateIfAbsent));
   MAPSIEVE_RETURN_IF_ERROR(file->WriteAt(0, bytes));
   return file->Truncate(size);
+}
+
+absl::Status Scratch::Append(const std::string& name,
+                             std::span<const std::byte> bytes) {
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckWrite(name, static_cast<int64_t>(bytes.size())));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const auto file,
+      file_system_.Open(JoinPath(directory_, name), OpenMode::kCreateIfAbsent));
+  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size, file->Size());
+  return file->WriteAt(size, bytes);
 }
 
 absl::StatusOr<std::vector<std::byte>> Scratch::Read(
@@ -83,6 +108,11 @@ absl::Status Scratch::Remove(const std::string& name) {
   MAPSIEVE_RETURN_IF_ERROR(CheckName(name));
   const absl::Status status = file_system_.Remove(JoinPath(directory_, name));
   return absl::IsNotFound(status) ? absl::OkStatus() : status;
+}
+
+absl::Status Scratch::Clear() {
+  MAPSIEVE_RETURN_IF_ERROR(file_system_.RemoveTree(directory_));
+  return file_system_.MakeDirectories(directory_);
 }
 
 }  // namespace mapsieve::storage

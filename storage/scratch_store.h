@@ -14,16 +14,21 @@
 
 namespace mapsieve::storage {
 
-/// Named byte strings on disk that last as long as this object: what a job puts
-/// aside because it does not fit memory. Never synced. Different names may be
-/// used from several threads at once.
+/// Named byte strings on disk: what a job puts aside because it does not fit
+/// memory. Never synced. Different names may be used from several threads at
+/// once.
 class Scratch {
  public:
-  /// Makes the directory, empty. The references outlive the object.
+  /// Makes the directory, empty, which is removed with the object. The
+  /// references outlive the object.
   static absl::StatusOr<std::unique_ptr<Scratch>> Create(
       FileSystem& file_system, std::string directory,
       const SpaceReserve& reserve);
-  /// Removes the directory.
+  /// Opens a directory, made if absent, that stays. After a crash of the
+  /// process it holds what was written; after one of the system, anything.
+  static absl::StatusOr<std::unique_ptr<Scratch>> OpenLasting(
+      FileSystem& file_system, std::string directory,
+      const SpaceReserve& reserve);
   ~Scratch();
   Scratch(const Scratch&) = delete;
   Scratch& operator=(const Scratch&) = delete;
@@ -32,19 +37,28 @@ class Scratch {
   /// kInvalidArgument: the name; kResourceExhausted: disk full.
   absl::Status Write(const std::string& name, std::span<const std::byte> bytes);
 
+  /// Adds to what `name` holds. Errors of Write.
+  absl::Status Append(const std::string& name,
+                      std::span<const std::byte> bytes);
+
   /// What was last written. kNotFound if nothing was.
   absl::StatusOr<std::vector<std::byte>> Read(const std::string& name) const;
 
   /// Forgets what `name` holds; OK if nothing.
   absl::Status Remove(const std::string& name);
+  /// Forgets everything.
+  absl::Status Clear();
 
  private:
   Scratch(FileSystem& file_system, std::string directory,
-          const SpaceReserve& reserve);
+          const SpaceReserve& reserve, bool is_lasting);
+
+  absl::Status CheckWrite(const std::string& name, int64_t size) const;
 
   FileSystem& file_system_;
   const std::string directory_;
   const SpaceReserve& reserve_;
+  const bool is_lasting_;
 };
 
 }  // namespace mapsieve::storage

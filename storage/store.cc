@@ -18,6 +18,7 @@ constexpr char kCatalogueFile[] = "catalogue.db";
 constexpr char kBlobDirectory[] = "blobs";
 constexpr char kUploadDirectory[] = "uploads";
 constexpr char kScratchDirectory[] = "scratch";
+constexpr char kRunDirectory[] = "runs";
 // The root of an ext file system has it.
 constexpr char kLostAndFound[] = "lost+found";
 
@@ -34,7 +35,7 @@ absl::Status CheckIsDataDirectory(FileSystem& file_system,
   for (const std::string& name : names) {
     if (name != kLockFile && name != kBlobDirectory &&
         name != kUploadDirectory && name != kScratchDirectory &&
-        name != kLostAndFound) {
+        name != kRunDirectory && name != kLostAndFound) {
       return absl::FailedPreconditionError(absl::StrCat(
           directory, ": holds ", Quoted(name), " and no ", kCatalogueFile,
           ", so it is no data directory; name an empty or a new one"));
@@ -239,6 +240,30 @@ absl::StatusOr<std::unique_ptr<Scratch>> Store::NewScratch() {
       file_system_,
       absl::StrCat(directory_, "/", kScratchDirectory, "/", scratch_count_++),
       reserve_);
+}
+
+absl::StatusOr<std::unique_ptr<Scratch>> Store::OpenRunScratch(
+    const std::string& map_uid) {
+  return Scratch::OpenLasting(
+      file_system_, JoinPath(JoinPath(directory_, kRunDirectory), map_uid),
+      reserve_);
+}
+
+absl::Status Store::RemoveRunScratch(const std::string& map_uid) {
+  return file_system_.RemoveTree(
+      JoinPath(JoinPath(directory_, kRunDirectory), map_uid));
+}
+
+absl::Status Store::RemoveRunScratchesExcept(
+    const std::set<std::string>& map_uids) {
+  const auto names = file_system_.List(JoinPath(directory_, kRunDirectory));
+  if (absl::IsNotFound(names.status())) return absl::OkStatus();
+  MAPSIEVE_RETURN_IF_ERROR(names.status());
+  for (const std::string& name : *names) {
+    if (map_uids.contains(name)) continue;
+    MAPSIEVE_RETURN_IF_ERROR(RemoveRunScratch(name));
+  }
+  return absl::OkStatus();
 }
 
 absl::StatusOr<GarbageReport> Store::CollectGarbage(std::stop_token stop) {

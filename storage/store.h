@@ -7,6 +7,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <span>
 #include <stop_token>
 #include <string>
@@ -141,6 +142,15 @@ class Store {
 
   /// A place for intermediate results, empty and of its own.
   absl::StatusOr<std::unique_ptr<Scratch>> NewScratch();
+
+  /// The place for what a run of the filter over a map puts aside to go on with
+  /// after a restart; one object at a time.
+  absl::StatusOr<std::unique_ptr<Scratch>> OpenRunScratch(
+      const std::string& map_uid);
+  /// Removes it; OK if there is none.
+  absl::Status RemoveRunScratch(const std::string& map_uid);
+  /// Removes those of all maps but these.
+  absl::Status RemoveRunScratchesExcept(const std::set<std::string>& map_uids);
 
   /// Removes what nothing needs: revisions of deleted maps that no snapshot
   /// pins, blobs that no revision refers to and no BlobWriter protects, uploads

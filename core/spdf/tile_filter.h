@@ -69,6 +69,17 @@ class TileStore : public PointTiles {
   virtual absl::StatusOr<std::vector<std::byte>> LoadState(
       const CellKey& key, TileStateKind kind) = 0;
 
+  /// The filter is done with a visit: it would go on from the states stored so
+  /// far, given the `record` of this visit and of those before. A store that
+  /// does not resume runs ignores it.
+  virtual absl::Status FinishVisit(std::span<const std::byte> /*record*/) {
+    return absl::OkStatus();
+  }
+  /// The records of the visits that an earlier run finished, in their order, if
+  /// the states are as they were after the last of them and tiles, options and
+  /// max_unit_points are the same: FilterTiles does not make them again.
+  virtual std::vector<std::vector<std::byte>> FinishedVisits() { return {}; }
+
   /// Takes the answer for a tile; called once for every tile, in their order.
   virtual absl::Status Emit(const TileResult& result) = 0;
 };
@@ -90,6 +101,9 @@ struct SpdfSummary {
   MaxConfidence max_confidence{};
   /// Rounds until nothing was flagged, or the limit.
   int round_count = 0;
+  /// Votes of neighbours that were summed up: the work, which depends on the
+  /// units too.
+  int64_t vote_count = 0;
 };
 
 /// Runs the filter over every tile of `store`: rounds in lock-step (each round

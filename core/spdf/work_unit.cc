@@ -182,6 +182,7 @@ void WorkUnit::CastBallVotes(GatheredBlock& block, int64_t bound,
   const Kernels& kernels = ActiveKernels();
   const int k = constants_.neighbor_count;
   const int64_t radius = std::min(CeilRoot(limit_d2), bound);
+  int64_t votes = 0;
   SplitWide(
       index_, points, GroupExtent(radius),
       [&](const IndexBox& box, std::span<const uint32_t> part) {
@@ -206,12 +207,14 @@ void WorkUnit::CastBallVotes(GatheredBlock& block, int64_t bound,
           kernels.ball_vote(block.block(),
                             {x, y, z, k, bound_d2, constants_.weight_scale},
                             scratch, &sums);
+          votes += sums.member_count;
           last = {x, y, z};
           last_radius =
               sums.member_count == k ? CeilRoot(sums.radius_d2) : kUnbounded;
           use(i, sums);
         }
       });
+  vote_count_.fetch_add(votes, std::memory_order_relaxed);
 }
 
 class WorkUnit::RoundVisitor {
@@ -483,6 +486,7 @@ class WorkUnit::LabelVisitor {
         tensors_[e * room + c] = std::bit_cast<int32_t>(voter.tensor[e]);
       }
     }
+    int64_t votes = 0;
     for (const uint32_t i : points) {
       const auto [x, y, z] = block_.Relative(i);
       VoteSums sums;
@@ -490,6 +494,7 @@ class WorkUnit::LabelVisitor {
                          {x, y, z, constants.neighbor_count,
                           VoterOf(i).radius_d2, constants.weight_scale},
                          tensors, scratch, &sums);
+      votes += sums.member_count;
       if (sums.member_count == 0) {
         columns_.label[i] = Label::kNone;
         columns_.confidence[i] = 0;
@@ -507,6 +512,7 @@ class WorkUnit::LabelVisitor {
       rows_[pending_] = i;
       if (++pending_ == EigenBatch::kSize) Flush();
     }
+    unit_.vote_count_.fetch_add(votes, std::memory_order_relaxed);
   }
 
   void Flush() {

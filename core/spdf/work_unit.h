@@ -110,6 +110,11 @@ class WorkUnit {
     return index_.Position(static_cast<uint32_t>(i));
   }
 
+  /// Votes of neighbours that all steps so far have summed up.
+  int64_t vote_count() const {
+    return vote_count_.load(std::memory_order_relaxed);
+  }
+
  private:
   /// Makes index_ hold the points whose death is later than `round`, and dead_
   /// those that died in it.
@@ -147,6 +152,7 @@ class WorkUnit {
   PointIndex index_;
   PointIndex dead_;
   int indexed_round_ = -1;
+  mutable std::atomic<int64_t> vote_count_ = 0;
 };
 
 }  // namespace mapsieve::core

@@ -1,6 +1,7 @@
 #include "server/engine/engine.h"
 
 #include <algorithm>
+#include <atomic>
 #include <charconv>
 #include <string_view>
 #include <utility>
@@ -142,6 +143,7 @@ class LocalEngine final : public Engine {
                                            : storage::PosixFileSystem();
     MAPSIEVE_ASSIGN_OR_RETURN(
         store_, storage::Store::Open(file_system, options.data_dir));
+    MAPSIEVE_RETURN_IF_ERROR(RemoveStaleRuns());
     garbage_ = std::make_unique<GarbageCollector>(*store_);
     MAPSIEVE_ASSIGN_OR_RETURN(
         jobs_,
@@ -156,6 +158,7 @@ class LocalEngine final : public Engine {
   }
 
   void Shutdown() override {
+    is_shut_down_ = true;
     if (jobs_ != nullptr) jobs_->Shutdown();
     if (garbage_ != nullptr) garbage_->Stop();
   }
@@ -596,10 +599,34 @@ class LocalEngine final : public Engine {
     return absl::OkStatus();
   }
 
+  /// What runs put aside that nobody will go on with.
+  absl::Status RemoveStaleRuns() {
+    std::set<std::string> going_on;
+    int64_t after = 0;
+    while (true) {
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          const std::vector<storage::OperationRecord> page,
+          catalogue().ListOperations("", /*unfinished_only=*/true, after,
+                                     kMaxPageSize));
+      if (page.empty()) break;
+      for (const storage::OperationRecord& record : page) {
+        const auto spec = ParseJobSpec(record.request);
+        if (spec.ok()) going_on.insert(spec->map_uid);
+      }
+      after = page.back().number;
+    }
+    return store_->RemoveRunScratchesExcept(going_on);
+  }
+
   absl::StatusOr<JobResult> RunJob(const std::string& map_id,
                                    const JobSpec& spec,
                                    const ExecutionContext& context) {
     absl::StatusOr<JobResult> result = RunVerb(map_id, spec, context);
+    // A run that a shutdown stops goes on at the next start.
+    if (spec.verb == OperationVerb::kProcessMap &&
+        !(is_shut_down_ && absl::IsCancelled(result.status()))) {
+      store_->RemoveRunScratch(spec.map_uid).IgnoreError();
+    }
     // Chunks that no commit refers to.
     if (!result.ok()) garbage_->Request();
     return result;
@@ -658,6 +685,7 @@ class LocalEngine final : public Engine {
   std::unique_ptr<storage::Store> store_;
   std::unique_ptr<GarbageCollector> garbage_;
   std::unique_ptr<JobManager> jobs_;
+  std::atomic<bool> is_shut_down_ = false;
   // What is checked when something is begun stays true until it has begun: no
   // map is deleted below a new upload or operation.
   Mutex admin_mutex_;

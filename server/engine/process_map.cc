@@ -21,6 +21,7 @@
 #include "server/engine/opaque_records.h"
 #include "server/engine/product_chunk.h"
 #include "server/engine/product_levels.h"
+#include "server/engine/run_checkpoint.h"
 #include "server/engine/stored_tiles.h"
 
 namespace mapsieve::engine {
@@ -247,6 +248,12 @@ class MapRun {
  private:
   absl::Status OpenTiles(const Previous* previous) {
     MAPSIEVE_ASSIGN_OR_RETURN(scratch_, store_.NewScratch());
+    if (previous == nullptr) {
+      MAPSIEVE_ASSIGN_OR_RETURN(auto run_scratch,
+                                store_.OpenRunScratch(snapshot_.map().uid));
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          checkpoint_, RunCheckpoint::Open(std::move(run_scratch), RunKey()));
+    }
     levels_ = std::make_unique<ProductLevels>(
         store_, snapshot_, *scratch_,
         ProductLevels::Options{.max_pending_bytes = limits_.pending_bytes,
@@ -262,8 +269,16 @@ class MapRun {
                     *scratch_, *levels_,
                     {.max_pending_bytes = limits_.pending_bytes,
                      .io = &io_,
-                     .stop = context_.stop}));
+                     .stop = context_.stop,
+                     .checkpoint = checkpoint_.get()}));
     return CheckTiles();
+  }
+
+  /// Runs of one key make the same visits.
+  std::string RunKey() const {
+    return absl::StrCat("1 revision ", snapshot_.revision().number, " units ",
+                        tiling_.max_unit_points, " ",
+                        FormatSpdfOptions(options_));
   }
 
   absl::Status CheckTiles() const {
@@ -381,6 +396,7 @@ class MapRun {
   const core::Lattice lattice_;
   const core::TilingOptions tiling_;
   std::unique_ptr<storage::Scratch> scratch_;
+  std::unique_ptr<RunCheckpoint> checkpoint_;
   std::unique_ptr<ProductLevels> levels_;
   std::unique_ptr<StoredTiles> tiles_;
 };

@@ -37,6 +37,10 @@ struct ProcessLimits {
 /// filters. Progress: visits of tiles. Errors as Engine::ProcessMap has them
 /// for the operation; kFailedPrecondition: no points; kAborted: the map changed
 /// meanwhile.
+///
+/// A run over all tiles that ends without a commit, however it ends, leaves
+/// what it has done in Store::OpenRunScratch; the next run over the same
+/// revision with the same options and limits goes on from there.
 absl::StatusOr<ProcessReport> ProcessStoredMap(
     storage::Store& store, const std::string& map_id,
     const std::string& map_uid, const core::SpdfOptions& options,

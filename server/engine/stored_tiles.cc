@@ -130,6 +130,9 @@ absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
 absl::Status StoredTiles::StoreState(const CellKey& key,
                                      core::TileStateKind kind,
                                      std::span<const std::byte> bytes) {
+  if (options_.checkpoint != nullptr) {
+    return options_.checkpoint->Store(StateName(key, kind), bytes);
+  }
   MAPSIEVE_RETURN_IF_ERROR(scratch_.Write(StateName(key, kind), bytes));
   if (kind == core::TileStateKind::kDeaths) stored_deaths_.insert(key);
   return absl::OkStatus();
@@ -137,6 +140,9 @@ absl::Status StoredTiles::StoreState(const CellKey& key,
 
 absl::StatusOr<std::vector<std::byte>> StoredTiles::LoadState(
     const CellKey& key, core::TileStateKind kind) {
+  if (options_.checkpoint != nullptr) {
+    return options_.checkpoint->Load(StateName(key, kind));
+  }
   if (kind != core::TileStateKind::kDeaths || previous_ == nullptr ||
       stored_deaths_.contains(key)) {
     return scratch_.Read(StateName(key, kind));
@@ -199,6 +205,17 @@ absl::StatusOr<LatticeCloud> StoredTiles::CollectRepresentatives(
         " of its points in its raw chunks, found ", collected.size()));
   }
   return collected;
+}
+
+absl::Status StoredTiles::FinishVisit(std::span<const std::byte> record) {
+  return options_.checkpoint == nullptr
+             ? absl::OkStatus()
+             : options_.checkpoint->FinishVisit(record);
+}
+
+std::vector<std::vector<std::byte>> StoredTiles::FinishedVisits() {
+  if (options_.checkpoint == nullptr) return {};
+  return options_.checkpoint->finished();
 }
 
 absl::Status StoredTiles::Emit(const core::TileResult& result) {

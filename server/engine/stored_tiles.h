@@ -19,6 +19,7 @@
 #include "server/engine/confidence_histogram.h"
 #include "server/engine/death_history.h"
 #include "server/engine/product_levels.h"
+#include "server/engine/run_checkpoint.h"
 #include "storage/store.h"
 
 namespace mapsieve::engine {
@@ -35,6 +36,8 @@ class StoredTiles final : public core::TileStore {
     /// Reads, encodes and stores answers.
     Executor* io = nullptr;
     std::stop_token stop;
+    /// Keeps states, so that the run can be resumed; null: `scratch` does.
+    RunCheckpoint* checkpoint = nullptr;
   };
 
   /// Reads the list of tiles. `previous`: the revision whose history serves
@@ -53,6 +56,8 @@ class StoredTiles final : public core::TileStore {
                           std::span<const std::byte> bytes) override;
   absl::StatusOr<std::vector<std::byte>> LoadState(
       const core::CellKey& key, core::TileStateKind kind) override;
+  absl::Status FinishVisit(std::span<const std::byte> record) override;
+  std::vector<std::vector<std::byte>> FinishedVisits() override;
   absl::Status Emit(const core::TileResult& result) override;
 
   /// Writes what is pending; to be called after the last Emit.

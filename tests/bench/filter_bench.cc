@@ -142,7 +142,8 @@ double CountingPassSeconds(const std::vector<core::LatticePoint>& distinct,
   unit.Grow(distinct.size(), /*is_core=*/true);
   unit.SetPoints(0, distinct);
   return Seconds([&] {
-    if (!unit.RunQuota(constants.density_d2, {}).ok()) Fail("the counting pass failed");
+    if (!unit.RunQuota(constants.density_d2, {}).ok())
+      Fail("the counting pass failed");
   });
 }
 
@@ -198,16 +199,6 @@ void PrintMemory(const BenchOptions& options) {
   std::cout << static_cast<double>(PeakBytes() - empty) / count << "\n";
 }
 
-/// Every point casts votes to its neighbours once for the rounds, every
-/// survivor twice more; what the rounds evaluate again is not counted.
-double NanosecondsPerVote(double seconds, const FilterRun& run,
-                          const BenchOptions& options) {
-  const auto votes = static_cast<double>(
-      (run.summary.point_count + 2 * run.summary.survivor_count) *
-      options.spdf.neighbor_count);
-  return seconds / votes * 1e9;
-}
-
 void Bench(const char* program, const std::string& name,
            const BenchOptions& options) {
   const std::vector<core::Point3> points = ReadCloud(name);
@@ -249,7 +240,7 @@ void Bench(const char* program, const std::string& name,
       name.substr(name.rfind('/') + 1).c_str(),
       static_cast<long long>(run.summary.point_count), pass, Median(one_s),
       Median(one_s) / pass, Median(default_reach_s) / pass,
-      NanosecondsPerVote(Median(one_s), run, options),
+      Median(one_s) / static_cast<double>(run.summary.vote_count) * 1e9,
       Median(one_s) / Median(all_s), Median(quota_s) / pass,
       Median(count_s) / pass, PeakBytesPerPoint(program, name, options),
       static_cast<long long>(run.summary.survivor_count), run.inliers);

@@ -398,7 +398,7 @@ TEST(IdealShapes, ANoiseVolumeIsJunctions) {
 // Tiles --------------------------------------------------------------------
 
 /// Tiles of any level over a cloud in memory, each visit from its own store.
-class SmallTiles final : public TileStore {
+class SmallTiles : public TileStore {
  public:
   SmallTiles(const LatticeCloud& cloud, int level) {
     for (const LatticePoint& q : DistinctPoints(cloud.positions)) {
@@ -440,10 +440,71 @@ class SmallTiles final : public TileStore {
 
   Answer answer;
 
+ protected:
+  std::map<std::array<int64_t, 4>, std::vector<std::byte>> states_;
+
  private:
   std::map<CellKey, std::vector<LatticePoint>, CellKeyLess> points_;
-  std::map<std::array<int64_t, 4>, std::vector<std::byte>> states_;
 };
+
+/// Tiles whose run ends in the middle of a visit.
+class InterruptedTiles final : public SmallTiles {
+ public:
+  using SmallTiles::SmallTiles;
+
+  absl::Status StoreState(const CellKey& key, TileStateKind kind,
+                          std::span<const std::byte> bytes) override {
+    if (visits_left == 0) return absl::UnavailableError("killed");
+    return SmallTiles::StoreState(key, kind, bytes);
+  }
+  absl::Status FinishVisit(std::span<const std::byte> record) override {
+    --visits_left;
+    records.emplace_back(record.begin(), record.end());
+    finished_states_ = states_;
+    return absl::OkStatus();
+  }
+  std::vector<std::vector<std::byte>> FinishedVisits() override {
+    states_ = finished_states_;
+    return records;
+  }
+
+  int visits_left = 0;
+  std::vector<std::vector<std::byte>> records;
+
+ private:
+  std::map<std::array<int64_t, 4>, std::vector<std::byte>> finished_states_;
+};
+
+TEST(FilterTiles, GoesOnAfterTheLastFinishedVisit) {
+  const LatticeCloud cloud = clouds::SceneCloud(3000, 1.2, 33);
+  for (const DensityRule rule : {DensityRule::kPaper, DensityRule::kQuota}) {
+    const SpdfOptions options = {
+        .density_radius_m = 0.2, .reach_m = 0.5, .rule = rule};
+    const Answer expected = Filter(cloud, options);
+    const auto run = [&](InterruptedTiles& tiles) {
+      return FilterTiles(tiles, cloud.lattice, options,
+                         {.max_unit_points = 700}, {});
+    };
+    InterruptedTiles whole(cloud, 9);
+    whole.visits_left = 1'000'000;
+    MAPSIEVE_ASSERT_OK(run(whole));
+    ASSERT_GT(whole.records.size(), 6u);
+    for (size_t n = 0; n < whole.records.size();
+         n += 1 + whole.records.size() / 10) {
+      SCOPED_TRACE(absl::StrCat("after visit ", n));
+      InterruptedTiles tiles(cloud, 9);
+      tiles.visits_left = static_cast<int>(n);
+      EXPECT_THAT(run(tiles), StatusIs(absl::StatusCode::kUnavailable,
+                                       HasSubstr("killed")));
+      EXPECT_EQ(tiles.records.size(), n);
+      tiles.visits_left = 1'000'000;
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(tiles.answer.summary, run(tiles));
+      ExpectSame(tiles.answer, expected);
+      // No visit was made twice.
+      EXPECT_EQ(tiles.records, whole.records);
+    }
+  }
+}
 
 TEST(FilterTiles, TheAnswerDoesNotDependOnTilesOrUnits) {
   // Shifted so that the ground lies on a tile face, and not.
@@ -453,9 +514,9 @@ TEST(FilterTiles, TheAnswerDoesNotDependOnTilesOrUnits) {
         clouds::Shifted(clouds::Concatenated(clouds::SceneCloud(4000, 1.2, 30),
                                              clouds::PlaneCloud(2000, 1.2, 31)),
                         offset);
-    for (const auto& [rule, rounds] : {std::pair(DensityRule::kPaper, 0),
-                                       std::pair(DensityRule::kPaper, 10),
-                                       std::pair(DensityRule::kQuota, 10)}) {
+    for (const auto& [rule, rounds] :
+         {std::pair(DensityRule::kPaper, 0), std::pair(DensityRule::kPaper, 10),
+          std::pair(DensityRule::kQuota, 10)}) {
       const SpdfOptions options = {.density_radius_m = 0.2,
                                    .reach_m = 0.5,
                                    .max_round_count = rounds,

@@ -15,6 +15,7 @@ import random
 import subprocess
 import sys
 import tempfile
+import time
 import unittest
 
 ARGUMENTS = [a for a in sys.argv[1:] if a != "--large"]
@@ -75,10 +76,14 @@ def hostile_clouds():
 
 
 class Server:
-    def __init__(self, data, threads):
+    def __init__(self, data, threads, memory):
+        self.arguments = ["--data", data, "--memory", memory, "--threads",
+                          str(threads)]
+        self.start()
+
+    def start(self):
         self.process = subprocess.Popen(
-            [BIN / "mapsieved", "--data", data, "--listen", "127.0.0.1:0",
-             "--memory", "256MiB", "--threads", str(threads)],
+            [BIN / "mapsieved", "--listen", "127.0.0.1:0", *self.arguments],
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.address = self.process.stdout.readline().split()[-1]
 
@@ -125,7 +130,7 @@ class Tiling(unittest.TestCase):
         self.numbers.shuffle(paths)
         return paths
 
-    def check(self, source, options, variants=VARIANTS):
+    def check(self, source, options, variants=VARIANTS, memory="256MiB"):
         expected = {}
         for rule in RULES:
             out = self.work / f"{rule}.csv"
@@ -133,7 +138,7 @@ class Tiling(unittest.TestCase):
             expected[rule] = answer_of(out)
         for edge, threads, uploads, shuffled in variants:
             data = tempfile.mkdtemp(dir=self.work)
-            with Server(data, threads) as server:
+            with Server(data, threads, memory) as server:
                 server.run("create", "m", "--tile-edge", edge)
                 server.run("upload", "m",
                            *self.pieces(source, uploads, shuffled))
@@ -182,10 +187,45 @@ class Tiling(unittest.TestCase):
                            (VARIANTS[0], VARIANTS[-1]))
 
     @unittest.skipIf(not LARGE, "in the run with --large")
+    def test_killed_run_goes_on(self):
+        source = self.work / "campus.las"
+        run("simulate", source, "--points", 3_000_000)
+        run("sample", source, "--rho", "0.2", "-o", self.work / "whole.csv")
+        data = self.work / "data"
+        with Server(data, 2, "256MiB") as server:
+            server.run("create", "m")
+            server.run("upload", "m", source)
+            server.run("process", "m", "--rho", "0.2", "--no-wait")
+            log, = self.wait_for(lambda: [
+                path for path in (data / "runs").glob("*/log")
+                if path.stat().st_size > 20_000])
+            server.process.kill()
+            server.process.wait()
+            finished = log.read_bytes()
+            server.start()
+            # The log only grows: no finished visit is made again.
+            self.wait_for(lambda: log.stat().st_size > len(finished))
+            self.assertTrue(log.read_bytes().startswith(finished))
+            self.wait_for(lambda: not log.exists())
+            self.wait_for(lambda: server.run("info", "m")["point_count"])
+            server.run("query", "m", "-o", self.work / "answer.csv")
+        self.assertTrue(answer_of(self.work / "answer.csv") ==
+                        answer_of(self.work / "whole.csv"))
+
+    def wait_for(self, condition):
+        for _ in range(6000):
+            result = condition()
+            if result:
+                return result
+            time.sleep(0.02)
+        self.fail("it never came")
+
+    @unittest.skipIf(not LARGE, "in the run with --large")
     def test_cube_denser_than_a_unit(self):
         lines = [",".join(f"{self.numbers.uniform(0, 10):.3f}"
                           for _ in range(3)) for _ in range(5_000_000)]
-        self.check(self.write("cube.csv", HEADER, lines), ("--rho", "0.2"))
+        self.check(self.write("cube.csv", HEADER, lines), ("--rho", "0.2"),
+                   memory="1GiB")
 
 
 if __name__ == "__main__":

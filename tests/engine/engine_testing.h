@@ -72,6 +72,7 @@ class Workshop {
   explicit Workshop(int tile_level, int worker_count = 1);
 
   storage::Store& store() { return *store_; }
+  const std::string& path() const { return dir_.path(); }
   storage::MapRecord map();
   /// Stages and adds one upload.
   absl::StatusOr<UploadReport> Add(
