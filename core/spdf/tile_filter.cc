@@ -1,6 +1,7 @@
 #include "core/spdf/tile_filter.h"
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 #include <optional>
 #include <unordered_set>
@@ -46,13 +47,14 @@ struct Visit {
   }
 };
 constexpr int32_t kVoterVisit = -1;
+constexpr int32_t kAllRoundsVisit = -2;
 
-/// All tiles, all rounds, in lock-step.
-class LockStepFilter {
+/// All tiles, all rounds.
+class TileFilter {
  public:
-  LockStepFilter(TileStore& store, const SpdfOptions& options,
-                 const SpdfConstants& constants, const TilingOptions& tiling,
-                 const ExecutionContext& context)
+  TileFilter(TileStore& store, const SpdfOptions& options,
+             const SpdfConstants& constants, const TilingOptions& tiling,
+             const ExecutionContext& context)
       : options_(options),
         constants_(constants),
         context_(context),
@@ -61,12 +63,23 @@ class LockStepFilter {
     std::vector<size_t> all(tiles_.tiles().size());
     std::iota(all.begin(), all.end(), size_t{0});
     units_ = tiles_.Group(all, tiling.max_unit_points);
-    // Of a map that is one unit no state is stored.
-    if (!IsResident()) finished_ = store.FinishedVisits();
+    if (IsResident() || options.rule != DensityRule::kPaper ||
+        options.max_round_count == 0) {
+      return;
+    }
+    // A unit takes no more memory for its halo.
+    std::vector<Unit> smaller = tiles_.Group(
+        all, static_cast<int64_t>(static_cast<double>(tiling.max_unit_points) /
+                                  (1 + std::min(tiling.max_halo_share, 1.0))));
+    makes_all_rounds_at_once_ =
+        HaloShare(smaller, WideMargin()) <= tiling.max_halo_share;
+    if (makes_all_rounds_at_once_) units_ = std::move(smaller);
   }
 
   absl::StatusOr<SpdfSummary> Run() {
     if (units_.empty()) return summary_;
+    // Of a map that is one unit no state is stored.
+    if (!IsResident()) finished_ = store_.FinishedVisits();
     const bool quota = options_.rule == DensityRule::kQuota;
     const int rounds = quota ? 1 : options_.max_round_count;
     const auto tile_count = static_cast<int64_t>(tiles_.tiles().size());
@@ -74,7 +87,8 @@ class LockStepFilter {
     if (quota) {
       MAPSIEVE_RETURN_IF_ERROR(RunQuota());
     } else {
-      MAPSIEVE_RETURN_IF_ERROR(RunRounds());
+      MAPSIEVE_RETURN_IF_ERROR(makes_all_rounds_at_once_ ? RunUnitByUnit()
+                                                         : RunInLockStep());
     }
     done_visits_ = tile_count * rounds;
     MAPSIEVE_RETURN_IF_ERROR(ComputeVoters());
@@ -158,7 +172,87 @@ class LockStepFilter {
     return absl::OkStatus();
   }
 
-  absl::Status RunRounds() {
+  /// What decides which points of a unit survive all rounds: each looks one
+  /// reach farther.
+  int64_t WideMargin() const {
+    return int64_t{options_.max_round_count} * constants_.reach_steps;
+  }
+
+  /// About how many points lie within `margin` of units over how many there
+  /// are.
+  double HaloShare(const std::vector<Unit>& units, int64_t margin) const {
+    double core = 0;
+    double halo = 0;
+    for (const Unit& unit : units) {
+      for (const size_t t : unit) {
+        core += static_cast<double>(tiles_.tiles()[t].point_count);
+      }
+      for (const auto& [t, near] : tiles_.HaloTiles(unit, margin)) {
+        const auto& [key, count] = tiles_.tiles()[t];
+        halo +=
+            static_cast<double>(count) *
+            std::min(1.0, std::ldexp(static_cast<double>(margin), -key.level));
+      }
+    }
+    return halo / core;
+  }
+
+  absl::Status RunUnitByUnit() {
+    for (size_t u = 0; u < units_.size(); ++u) {
+      std::optional<Visit> visit = TakeFinished(kAllRoundsVisit, u);
+      if (!visit.has_value()) {
+        MAPSIEVE_ASSIGN_OR_RETURN(visit, RunAllRounds(u));
+      }
+      summary_.round_count =
+          std::max(summary_.round_count, static_cast<int>(visit->flagged));
+      done_visits_ =
+          static_cast<int64_t>(units_[u].back() + 1) * options_.max_round_count;
+      context_.ReportProgress(done_visits_, total_visits_);
+    }
+    return absl::OkStatus();
+  }
+
+  /// Visit::flagged is then the number of rounds.
+  absl::StatusOr<Visit> RunAllRounds(size_t number) {
+    const Unit& unit = units_[number];
+    MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit * loaded,
+                              LoadUnit(unit, WideMargin()));
+    WorkUnit& work = *loaded->work;
+    // The halo is filtered too: it goes wrong from its outer border inwards, by
+    // one reach a round, which never gets as far as the core.
+    std::fill(work.core().begin(), work.core().end(), uint8_t{1});
+    Visit visit = {.round = kAllRoundsVisit,
+                   .unit = static_cast<uint32_t>(number),
+                   .flagged = 1};
+    for (int round = 1; round <= options_.max_round_count; ++round) {
+      MAPSIEVE_ASSIGN_OR_RETURN(const WorkUnit::RoundCounts counts,
+                                work.RunPaperRound(round, context_));
+      if (counts.died == 0 && counts.flagged == 0) break;
+      if (IsCoreActive(*loaded, round)) {
+        visit.flagged = std::min(round + 1, options_.max_round_count);
+      }
+    }
+    MAPSIEVE_RETURN_IF_ERROR(
+        StoreStates(*loaded, TileStateKind::kDeaths, work.deaths()));
+    MAPSIEVE_RETURN_IF_ERROR(Finish(visit));
+    return visit;
+  }
+
+  /// Whether core points died in `round` or are flagged after it.
+  static bool IsCoreActive(const LoadedUnit& loaded, int round) {
+    WorkUnit& work = *loaded.work;
+    for (const LoadedTile& tile : loaded.tiles) {
+      if (!tile.is_core) continue;
+      for (size_t i = tile.begin; i < tile.end; ++i) {
+        if (work.deaths()[i] == round || work.round_states()[i].flags != 0) {
+          return true;
+        }
+      }
+    }
+    return false;
+  }
+
+  absl::Status RunInLockStep() {
     // Per unit: whether core points are flagged, and tiles where some died in
     // the round before.
     std::vector<int64_t> flagged(units_.size(), 1);
@@ -282,6 +376,7 @@ class LockStepFilter {
   TileStore& store_;
   TileUnits tiles_;
   std::vector<Unit> units_;
+  bool makes_all_rounds_at_once_ = false;
   /// Visits of an earlier run, and which of them comes next.
   std::vector<std::vector<std::byte>> finished_;
   size_t next_finished_ = 0;
@@ -300,7 +395,7 @@ absl::StatusOr<SpdfSummary> FilterTiles(TileStore& store,
                                         const ExecutionContext& context) {
   MAPSIEVE_RETURN_IF_ERROR(options.Validate(lattice));
   const SpdfConstants constants = MakeSpdfConstants(options, lattice);
-  return LockStepFilter(store, options, constants, tiling, context).Run();
+  return TileFilter(store, options, constants, tiling, context).Run();
 }
 
 }  // namespace mapsieve::core

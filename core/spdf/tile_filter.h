@@ -89,6 +89,11 @@ struct TilingOptions {
   /// points without the halo (a single larger tile is a unit of its own). The
   /// result does not depend on it.
   int64_t max_unit_points = 8'000'000;
+  /// Rule kPaper makes all rounds of a unit in one visit, with all points
+  /// around it that have a say in them, if those are about this share of all
+  /// points at most; else rounds in lock-step, each round of all units before
+  /// the next. The result does not depend on it.
+  double max_halo_share = 0.4;
 };
 
 /// What a run did; sums over all tiles.
@@ -106,10 +111,10 @@ struct SpdfSummary {
   int64_t vote_count = 0;
 };
 
-/// Runs the filter over every tile of `store`: rounds in lock-step (each round
-/// of all units before the next), then ball votes, aware votes and labels. The
-/// result is a function of the set of points and `options`: neither tile size
-/// nor max_unit_points, order of points nor worker count show in it.
+/// Runs the filter over every tile of `store`: rounds, then ball votes, aware
+/// votes and labels. The result is a function of the set of points and
+/// `options`: neither tile size nor `tiling`, order of points nor worker count
+/// show in it.
 /// Errors: kInvalidArgument (options), kCancelled, those of `store`.
 /// Source: Labussière, Laconte, Pomerleau, 2020; core/README.md.
 absl::StatusOr<SpdfSummary> FilterTiles(TileStore& store,
