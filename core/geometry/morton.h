@@ -2,7 +2,9 @@
 #define MAPSIEVE_CORE_GEOMETRY_MORTON_H_
 
 #include <bit>
+#include <cstddef>
 #include <cstdint>
+#include <span>
 
 #include "core/geometry/lattice.h"
 
@@ -64,6 +66,25 @@ constexpr bool MortonLess(int64_t ax, int64_t ay, int64_t az, int64_t bx,
 
 constexpr bool MortonLess(const LatticePoint& a, const LatticePoint& b) {
   return MortonLess(a.x, a.y, a.z, b.x, b.y, b.z);
+}
+
+/// Calls use(q) for the points that only one of two ranges in Morton order
+/// holds.
+template <typename Use>
+void ForEachDifference(std::span<const LatticePoint> a,
+                       std::span<const LatticePoint> b, const Use& use) {
+  size_t i = 0;
+  size_t j = 0;
+  while (i < a.size() || j < b.size()) {
+    if (i < a.size() && j < b.size() && a[i] == b[j]) {
+      ++i;
+      ++j;
+    } else if (j == b.size() || (i < a.size() && MortonLess(a[i], b[j]))) {
+      use(a[i++]);
+    } else {
+      use(b[j++]);
+    }
+  }
 }
 
 /// Where the highest differing bit of the points [begin, end) changes: both

@@ -15,6 +15,7 @@
 
 #include "core/base/bulk_vector.h"
 #include "core/base/status.h"
+#include "core/geometry/morton.h"
 #include "core/spdf/integer_root.h"
 #include "core/spdf/memory_tiles.h"
 #include "core/spdf/tile_units.h"
@@ -83,25 +84,6 @@ class LevelNodes final : public PointTiles {
   /// Each node's parts [first, second).
   std::unordered_map<CellKey, std::pair<size_t, size_t>, CellKeyHash> parts_of_;
 };
-
-/// Calls use(q) for the points that only one of two ranges in Morton order
-/// holds.
-template <typename Use>
-void ForEachDifference(std::span<const LatticePoint> a,
-                       std::span<const LatticePoint> b, const Use& use) {
-  size_t i = 0;
-  size_t j = 0;
-  while (i < a.size() || j < b.size()) {
-    if (i < a.size() && j < b.size() && a[i] == b[j]) {
-      ++i;
-      ++j;
-    } else if (j == b.size() || (i < a.size() && MortonLess(a[i], b[j]))) {
-      use(a[i++]);
-    } else {
-      use(b[j++]);
-    }
-  }
-}
 
 /// One computation of depths.
 class DepthsRun {

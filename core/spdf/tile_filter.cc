@@ -18,11 +18,14 @@ namespace {
 
 /// What a later run needs to know of a visit that it does not make again.
 struct Visit {
-  /// A round, or kVoterVisit.
+  /// A round, kVoterVisit or kAllRoundsVisit.
   int32_t round = 0;
   uint32_t unit = 0;
+  /// Core points that remain flagged; of a round.
   int64_t flagged = 0;
-  /// Tiles of the unit where points died.
+  /// Rounds until the unit came to rest; of kAllRoundsVisit.
+  int32_t round_count = 0;
+  /// Tiles of the unit where points died; of a round.
   std::vector<uint32_t> dying_in;
 
   std::vector<std::byte> Format() const {
@@ -30,16 +33,18 @@ struct Visit {
     writer.Put(round);
     writer.Put(unit);
     writer.Put(flagged);
+    writer.Put(round_count);
     for (const uint32_t tile : dying_in) writer.Put(tile);
     return std::move(writer.bytes());
   }
   /// Nothing if the bytes are no visit.
   static std::optional<Visit> Parse(std::span<const std::byte> bytes) {
-    constexpr size_t kHeadBytes = 16;
+    constexpr size_t kHeadBytes = 20;
     if (bytes.size() < kHeadBytes || bytes.size() % 4 != 0) return std::nullopt;
     Visit visit = {.round = LoadLittleEndian<int32_t>(bytes.data()),
                    .unit = LoadLittleEndian<uint32_t>(bytes.data() + 4),
-                   .flagged = LoadLittleEndian<int64_t>(bytes.data() + 8)};
+                   .flagged = LoadLittleEndian<int64_t>(bytes.data() + 8),
+                   .round_count = LoadLittleEndian<int32_t>(bytes.data() + 16)};
     for (size_t at = kHeadBytes; at < bytes.size(); at += 4) {
       visit.dying_in.push_back(LoadLittleEndian<uint32_t>(bytes.data() + at));
     }
@@ -203,8 +208,7 @@ class TileFilter {
       if (!visit.has_value()) {
         MAPSIEVE_ASSIGN_OR_RETURN(visit, RunAllRounds(u));
       }
-      summary_.round_count =
-          std::max(summary_.round_count, static_cast<int>(visit->flagged));
+      summary_.round_count = std::max(summary_.round_count, visit->round_count);
       done_visits_ =
           static_cast<int64_t>(units_[u].back() + 1) * options_.max_round_count;
       context_.ReportProgress(done_visits_, total_visits_);
@@ -212,7 +216,6 @@ class TileFilter {
     return absl::OkStatus();
   }
 
-  /// Visit::flagged is then the number of rounds.
   absl::StatusOr<Visit> RunAllRounds(size_t number) {
     const Unit& unit = units_[number];
     MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit * loaded,
@@ -223,13 +226,13 @@ class TileFilter {
     std::fill(work.core().begin(), work.core().end(), uint8_t{1});
     Visit visit = {.round = kAllRoundsVisit,
                    .unit = static_cast<uint32_t>(number),
-                   .flagged = 1};
+                   .round_count = 1};
     for (int round = 1; round <= options_.max_round_count; ++round) {
       MAPSIEVE_ASSIGN_OR_RETURN(const WorkUnit::RoundCounts counts,
                                 work.RunPaperRound(round, context_));
       if (counts.died == 0 && counts.flagged == 0) break;
       if (IsCoreActive(*loaded, round)) {
-        visit.flagged = std::min(round + 1, options_.max_round_count);
+        visit.round_count = std::min(round + 1, options_.max_round_count);
       }
     }
     MAPSIEVE_RETURN_IF_ERROR(

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/base/status.h"
+#include "core/cloud/merge_duplicates.h"
 #include "core/geometry/morton.h"
 
 namespace mapsieve::engine {
@@ -28,6 +29,23 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
                                          chunk.tile.ToString()));
   }
   return points;
+}
+
+absl::StatusOr<core::LatticeCloud> ReadPoints(
+    const storage::ReadSnapshot& snapshot,
+    std::span<const storage::ChunkRef> chunks,
+    const core::DecodeOptions& options) {
+  core::LatticeCloud points;
+  for (const storage::ChunkRef& chunk : chunks) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud part,
+                              ReadPoints(snapshot, chunk, options));
+    points.lattice = part.lattice;
+    MAPSIEVE_RETURN_IF_ERROR(points.attributes.AppendAll(
+        points.size(), part.attributes, part.size()));
+    points.positions.insert(points.positions.end(), part.positions.begin(),
+                            part.positions.end());
+  }
+  return points.Select(core::MortonOrder(points.positions));
 }
 
 std::vector<storage::BlobId> ContentsOf(

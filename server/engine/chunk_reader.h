@@ -17,6 +17,13 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options = {});
 
+/// The points of some chunks of a tile together, in Morton order. Errors of
+/// the other ReadPoints.
+absl::StatusOr<core::LatticeCloud> ReadPoints(
+    const storage::ReadSnapshot& snapshot,
+    std::span<const storage::ChunkRef> chunks,
+    const core::DecodeOptions& options);
+
 /// The contents of chunks, whatever their order and numbers: equal lists hold
 /// the same.
 std::vector<storage::BlobId> ContentsOf(

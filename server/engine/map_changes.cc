@@ -41,26 +41,13 @@ absl::StatusOr<std::vector<CellKey>> TilesWithOtherChunks(
   }
 }
 
-/// Holds the points that are in one of two ascending lists only.
+/// Holds the points that only one of two lists in Morton order has.
 std::optional<LatticeBox> BoxOfDifference(const std::vector<LatticePoint>& a,
                                           const std::vector<LatticePoint>& b) {
   std::optional<LatticeBox> box;
-  const auto add = [&box](const LatticePoint& q) {
+  core::ForEachDifference(a, b, [&box](const LatticePoint& q) {
     box = box.has_value() ? box->Union(core::BoxOf(q)) : core::BoxOf(q);
-  };
-  size_t i = 0;
-  size_t j = 0;
-  while (i < a.size() || j < b.size()) {
-    if (i < a.size() && j < b.size() && a[i] == b[j]) {
-      ++i;
-      ++j;
-    } else if (j == b.size() ||
-               (i < a.size() && core::MortonLess(a[i], b[j]))) {
-      add(a[i++]);
-    } else {
-      add(b[j++]);
-    }
-  }
+  });
   return box;
 }
 

@@ -7,7 +7,6 @@
 #include <utility>
 
 #include "core/base/status.h"
-#include "core/cloud/merge_duplicates.h"
 #include "server/engine/chunk_reader.h"
 
 namespace mapsieve::engine {
@@ -116,27 +115,23 @@ absl::StatusOr<LatticeCloud> ProductLevels::LoadNow(
 absl::StatusOr<LatticeCloud> ProductLevels::LoadBefore(
     const CellKey& tile, int min_depth,
     const core::DecodeOptions& options) const {
-  LatticeCloud points;
-  for (const ChunkRef& chunk : tiles_.at(tile).before) {
-    if (chunk.max_depth < min_depth) continue;
-    MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud part,
-                              ReadPoints(snapshot_, chunk, options));
-    if (chunk.min_depth < min_depth) {
-      MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
-                                DepthsOf(part));
-      std::vector<uint32_t> rows;
-      for (uint32_t row = 0; row < depths.size(); ++row) {
-        if (depths[row] >= min_depth) rows.push_back(row);
-      }
-      part = part.Select(rows);
-    }
-    points.lattice = part.lattice;
-    MAPSIEVE_RETURN_IF_ERROR(points.attributes.AppendAll(
-        points.size(), part.attributes, part.size()));
-    points.positions.insert(points.positions.end(), part.positions.begin(),
-                            part.positions.end());
+  std::vector<ChunkRef> chunks = tiles_.at(tile).before;
+  std::erase_if(chunks, [&](const ChunkRef& chunk) {
+    return chunk.max_depth < min_depth;
+  });
+  MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud points,
+                            ReadPoints(snapshot_, chunks, options));
+  const bool holds_finer = std::any_of(
+      chunks.begin(), chunks.end(),
+      [&](const ChunkRef& chunk) { return chunk.min_depth < min_depth; });
+  if (!holds_finer) return points;
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
+                            DepthsOf(points));
+  std::vector<uint32_t> rows;
+  for (uint32_t row = 0; row < depths.size(); ++row) {
+    if (depths[row] >= min_depth) rows.push_back(row);
   }
-  return points.Select(core::MortonOrder(points.positions));
+  return points.Select(rows);
 }
 
 absl::StatusOr<int64_t> ProductLevels::LoadPoints(

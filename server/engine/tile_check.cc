@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <iterator>
 #include <optional>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
-#include "core/cloud/merge_duplicates.h"
 #include "core/spdf/cloud_filter.h"
 #include "core/spdf/integer_root.h"
 #include "core/spdf/levels.h"
@@ -95,16 +95,7 @@ absl::StatusOr<LatticeCloud> LoadProduct(const ReadSnapshot& snapshot,
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> chunks,
                             snapshot.ListTileChunks(ChunkKind::kProduct, tile));
-  LatticeCloud points;
-  for (const ChunkRef& chunk : chunks) {
-    MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud part,
-                              ReadPoints(snapshot, chunk, columns));
-    MAPSIEVE_RETURN_IF_ERROR(points.attributes.AppendAll(
-        points.size(), part.attributes, part.size()));
-    points.positions.insert(points.positions.end(), part.positions.begin(),
-                            part.positions.end());
-  }
-  return points.Select(core::MortonOrder(points.positions));
+  return ReadPoints(snapshot, chunks, columns);
 }
 
 std::string Place(const LatticePoint& q) {

@@ -270,6 +270,15 @@ absl::StatusOr<Answer> Workshop::Query(QuerySpec spec) {
   return ReadAll(OpenQuery(*store_, memory_, spec, {}));
 }
 
+std::vector<storage::ChunkRef> Workshop::Chunks(storage::ChunkKind kind) {
+  const auto snapshot = store_->OpenSnapshot("map");
+  EXPECT_TRUE(snapshot.ok()) << snapshot.status();
+  const auto chunks =
+      (*snapshot)->ListChunks(kind, std::nullopt, std::nullopt, 100'000);
+  EXPECT_TRUE(chunks.ok()) << chunks.status();
+  return *chunks;
+}
+
 void Workshop::DamageBlob(const storage::BlobId& id) {
   for (const auto& entry :
        std::filesystem::recursive_directory_iterator(dir_.path())) {

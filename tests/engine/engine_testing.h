@@ -4,13 +4,16 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <stop_token>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/base/executor.h"
 #include "core/cloud/point_cloud.h"
 #include "core/spdf/spdf_options.h"
+#include "gtest/gtest.h"
 #include "server/engine/edit_map.h"
 #include "server/engine/engine.h"
 #include "server/engine/ingest.h"
@@ -85,6 +88,8 @@ class Workshop {
                                         const ProcessLimits& limits,
                                         const ExecutionContext& context = {});
   absl::StatusOr<Answer> Query(QuerySpec spec);
+  /// All chunks of the newest revision.
+  std::vector<storage::ChunkRef> Chunks(storage::ChunkKind kind);
   /// Flips a bit in the middle of a blob's file.
   void DamageBlob(const storage::BlobId& id);
 
@@ -94,6 +99,27 @@ class Workshop {
   std::unique_ptr<storage::Store> store_;
   MemoryPool memory_{int64_t{1} << 30};
   int upload_count_ = 0;
+};
+
+/// Asks for a stop once `visits` units of work are done.
+class StopAfter final : public ProgressSink {
+ public:
+  explicit StopAfter(int64_t visits) : visits_(visits) {}
+  void Report(int64_t done, int64_t total) override {
+    EXPECT_GE(done, done_);
+    EXPECT_LE(done, total);
+    done_ = done;
+    if (done >= visits_) stop_.request_stop();
+  }
+  ExecutionContext Context() {
+    return {.stop = stop_.get_token(), .progress = this};
+  }
+  bool is_asked() const { return stop_.stop_requested(); }
+
+ private:
+  const int64_t visits_;
+  int64_t done_ = 0;
+  std::stop_source stop_;
 };
 
 /// An engine in a directory of its own, and the steps of a client.

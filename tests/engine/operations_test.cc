@@ -349,27 +349,6 @@ TEST_F(JobManagerTest, ForgetsTheOperationsOfAMap) {
 
 // The filter itself.
 
-/// Asks for a stop once `visits` units of work are done.
-class StopAfter final : public ProgressSink {
- public:
-  explicit StopAfter(int64_t visits) : visits_(visits) {}
-  void Report(int64_t done, int64_t total) override {
-    EXPECT_GE(done, done_);
-    EXPECT_LE(done, total);
-    done_ = done;
-    if (done >= visits_) stop_.request_stop();
-  }
-  ExecutionContext Context() {
-    return {.stop = stop_.get_token(), .progress = this};
-  }
-  bool is_asked() const { return stop_.stop_requested(); }
-
- private:
-  const int64_t visits_;
-  int64_t done_ = 0;
-  std::stop_source stop_;
-};
-
 TEST(ProcessMap, CancelledAtAnyVisitLeavesTheMapAsItWas) {
   const LatticeCloud scene = MakeScene(41);
   const core::SpdfOptions old_options = SceneOptions(core::DensityRule::kQuota);

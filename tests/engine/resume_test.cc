@@ -160,22 +160,6 @@ TEST_F(CheckpointTest, DamageOfAnyByteIsFound) {
   ExpectWhole(*other);
 }
 
-/// Stops a run once so much of it is done.
-class StopAt final : public ProgressSink {
- public:
-  explicit StopAt(int64_t done) : stop_at_(done) {}
-  void Report(int64_t done, int64_t) override {
-    if (done >= stop_at_) stop_.request_stop();
-  }
-  ExecutionContext Context() {
-    return {.stop = stop_.get_token(), .progress = this};
-  }
-
- private:
-  const int64_t stop_at_;
-  std::stop_source stop_;
-};
-
 TEST(Resume, ARunThatWasStoppedMakesNoVisitAgain) {
   constexpr ProcessLimits kLimits = {.unit_points = 2000,
                                      .tile_points = 1 << 26,
@@ -197,7 +181,7 @@ TEST(Resume, ARunThatWasStoppedMakesNoVisitAgain) {
       SCOPED_TRACE(absl::StrCat("stopped at ", stop_at));
       Workshop workshop(12);
       MAPSIEVE_ASSERT_OK(workshop.Add(scene, IngestLimits::Of(1 << 25)));
-      StopAt stop(stop_at);
+      StopAfter stop(stop_at);
       EXPECT_THAT(workshop.Process(options, kLimits, stop.Context()),
                   StatusIs(absl::StatusCode::kCancelled, HasSubstr("")));
       const std::string log = log_of(workshop);

@@ -32,20 +32,11 @@ constexpr ProcessLimits kProcess = {.unit_points = 3000,
                                     .pending_bytes = 1 << 18,
                                     .chunk_bytes = 30'000};
 
-std::vector<ChunkRef> ChunksOf(Workshop& workshop, ChunkKind kind) {
-  const auto snapshot = workshop.store().OpenSnapshot("map");
-  EXPECT_TRUE(snapshot.ok()) << snapshot.status();
-  const auto chunks =
-      (*snapshot)->ListChunks(kind, std::nullopt, std::nullopt, 100'000);
-  EXPECT_TRUE(chunks.ok()) << chunks.status();
-  return *chunks;
-}
-
 /// Content of the chunks of each tile, in order.
 using Contents = std::map<std::string, std::vector<storage::BlobId>>;
 Contents ContentsOf(Workshop& workshop, ChunkKind kind) {
   Contents contents;
-  for (const ChunkRef& chunk : ChunksOf(workshop, kind)) {
+  for (const ChunkRef& chunk : workshop.Chunks(kind)) {
     contents[chunk.tile.ToString()].push_back(chunk.blob_id);
   }
   return contents;
@@ -144,7 +135,7 @@ TEST(Update, SharesTheChunksOfTilesOutOfReach) {
   AddAndProcess(scene, options, workshop);
   std::map<int64_t, core::CellKey> before;
   std::set<std::string> tiles;
-  for (const ChunkRef& chunk : ChunksOf(workshop, ChunkKind::kProduct)) {
+  for (const ChunkRef& chunk : workshop.Chunks(ChunkKind::kProduct)) {
     before[chunk.number] = chunk.tile;
     tiles.insert(chunk.tile.ToString());
   }
@@ -154,7 +145,7 @@ TEST(Update, SharesTheChunksOfTilesOutOfReach) {
   // Tiles whose points have other depths are written anew too.
   std::set<std::string> shared;
   std::set<std::string> written;
-  for (const ChunkRef& chunk : ChunksOf(workshop, ChunkKind::kProduct)) {
+  for (const ChunkRef& chunk : workshop.Chunks(ChunkKind::kProduct)) {
     (before.contains(chunk.number) ? shared : written)
         .insert(chunk.tile.ToString());
   }

@@ -71,15 +71,6 @@ absl::StatusOr<Findings> VerifyAll(Workshop& workshop, int64_t tiles,
   return findings;
 }
 
-std::vector<ChunkRef> ChunksOf(Workshop& workshop, ChunkKind kind) {
-  const auto snapshot = workshop.store().OpenSnapshot("map");
-  EXPECT_TRUE(snapshot.ok()) << snapshot.status();
-  const auto chunks =
-      (*snapshot)->ListChunks(kind, std::nullopt, std::nullopt, 100'000);
-  EXPECT_TRUE(chunks.ok()) << chunks.status();
-  return *chunks;
-}
-
 class VerifyTest : public ::testing::TestWithParam<DensityRule> {};
 
 TEST_P(VerifyTest, TilesFilteredAloneAreWhatTheMapHolds) {
@@ -97,9 +88,9 @@ TEST_P(VerifyTest, TilesFilteredAloneAreWhatTheMapHolds) {
   MAPSIEVE_ASSERT_OK(workshop.Add(scene, kIngest));
   MAPSIEVE_ASSERT_OK(workshop.Process(SceneOptions(GetParam()), kProcess));
   const int64_t chunks =
-      static_cast<int64_t>(ChunksOf(workshop, ChunkKind::kRaw).size() +
-                           ChunksOf(workshop, ChunkKind::kProduct).size() +
-                           ChunksOf(workshop, ChunkKind::kHistory).size());
+      static_cast<int64_t>(workshop.Chunks(ChunkKind::kRaw).size() +
+                           workshop.Chunks(ChunkKind::kProduct).size() +
+                           workshop.Chunks(ChunkKind::kHistory).size());
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Findings found, VerifyAll(workshop, 30));
   EXPECT_THAT(found.damaged, IsEmpty());
   for (const DifferingTile& tile : found.differing) {
@@ -125,7 +116,7 @@ TEST(Verify, FindsEveryDamagedChunkOfEveryRevision) {
        {std::pair(ChunkKind::kRaw, StoredContent::kRaw),
         std::pair(ChunkKind::kProduct, StoredContent::kProduct),
         std::pair(ChunkKind::kHistory, StoredContent::kHistory)}) {
-    const std::vector<ChunkRef> chunks = ChunksOf(workshop, kind);
+    const std::vector<ChunkRef> chunks = workshop.Chunks(kind);
     for (size_t i = 0; i < chunks.size(); i += 1 + chunks.size() / 3) {
       damaged[chunks[i].blob_id] = content;
     }
@@ -156,7 +147,7 @@ TEST(Verify, FindsATileThatIsNotWhatItsPointsGive) {
   MAPSIEVE_ASSERT_OK(
       workshop.Process(SceneOptions(DensityRule::kPaper), kProcess));
   // A wrong confidence, stored as carefully as a right one.
-  const std::vector<ChunkRef> chunks = ChunksOf(workshop, ChunkKind::kProduct);
+  const std::vector<ChunkRef> chunks = workshop.Chunks(ChunkKind::kProduct);
   const ChunkRef victim = chunks[chunks.size() / 2];
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto snapshot,
                                 workshop.store().OpenSnapshot("map"));
