@@ -36,10 +36,9 @@ absl::StatusOr<std::unique_ptr<Scratch>> Scratch::Create(
                                               reserve, /*is_lasting=*/false));
 }
 
-absl::StatusOr<std::unique_ptr<Scratch>> Scratch::OpenLasting(
-    FileSystem& file_system, std::string directory,
-    const SpaceReserve& reserve) {
-  MAPSIEVE_RETURN_IF_ERROR(file_system.MakeDirectories(directory));
+std::unique_ptr<Scratch> Scratch::OpenLasting(FileSystem& file_system,
+                                              std::string directory,
+                                              const SpaceReserve& reserve) {
   return std::unique_ptr<Scratch>(new Scratch(file_system, std::move(directory),
                                               reserve, /*is_lasting=*/true));
 }

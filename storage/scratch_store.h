@@ -24,11 +24,12 @@ class Scratch {
   static absl::StatusOr<std::unique_ptr<Scratch>> Create(
       FileSystem& file_system, std::string directory,
       const SpaceReserve& reserve);
-  /// Opens a directory, made if absent, that stays. After a crash of the
-  /// process it holds what was written; after one of the system, anything.
-  static absl::StatusOr<std::unique_ptr<Scratch>> OpenLasting(
-      FileSystem& file_system, std::string directory,
-      const SpaceReserve& reserve);
+  /// A directory that stays, with what it holds; Clear makes it. After a crash
+  /// of the process it holds what was written; after one of the system,
+  /// anything.
+  static std::unique_ptr<Scratch> OpenLasting(FileSystem& file_system,
+                                              std::string directory,
+                                              const SpaceReserve& reserve);
   ~Scratch();
   Scratch(const Scratch&) = delete;
   Scratch& operator=(const Scratch&) = delete;
@@ -46,7 +47,7 @@ class Scratch {
 
   /// Forgets what `name` holds; OK if nothing.
   absl::Status Remove(const std::string& name);
-  /// Forgets everything.
+  /// Forgets everything, and makes the directory.
   absl::Status Clear();
 
  private:

@@ -242,8 +242,7 @@ absl::StatusOr<std::unique_ptr<Scratch>> Store::NewScratch() {
       reserve_);
 }
 
-absl::StatusOr<std::unique_ptr<Scratch>> Store::OpenRunScratch(
-    const std::string& map_uid) {
+std::unique_ptr<Scratch> Store::OpenRunScratch(const std::string& map_uid) {
   return Scratch::OpenLasting(
       file_system_, JoinPath(JoinPath(directory_, kRunDirectory), map_uid),
       reserve_);

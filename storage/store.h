@@ -144,9 +144,8 @@ class Store {
   absl::StatusOr<std::unique_ptr<Scratch>> NewScratch();
 
   /// The place for what a run of the filter over a map puts aside to go on with
-  /// after a restart; one object at a time.
-  absl::StatusOr<std::unique_ptr<Scratch>> OpenRunScratch(
-      const std::string& map_uid);
+  /// after a restart (Scratch::OpenLasting); one object at a time.
+  std::unique_ptr<Scratch> OpenRunScratch(const std::string& map_uid);
   /// Removes it; OK if there is none.
   absl::Status RemoveRunScratch(const std::string& map_uid);
   /// Removes those of all maps but these.

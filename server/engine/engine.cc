@@ -611,7 +611,9 @@ class LocalEngine final : public Engine {
       if (page.empty()) break;
       for (const storage::OperationRecord& record : page) {
         const auto spec = ParseJobSpec(record.request);
-        if (spec.ok()) going_on.insert(spec->map_uid);
+        if (spec.ok() && spec->verb == OperationVerb::kProcessMap) {
+          going_on.insert(spec->map_uid);
+        }
       }
       after = page.back().number;
     }

@@ -249,10 +249,10 @@ class MapRun {
   absl::Status OpenTiles(const Previous* previous) {
     MAPSIEVE_ASSIGN_OR_RETURN(scratch_, store_.NewScratch());
     if (previous == nullptr) {
-      MAPSIEVE_ASSIGN_OR_RETURN(auto run_scratch,
-                                store_.OpenRunScratch(snapshot_.map().uid));
       MAPSIEVE_ASSIGN_OR_RETURN(
-          checkpoint_, RunCheckpoint::Open(std::move(run_scratch), RunKey()));
+          checkpoint_,
+          RunCheckpoint::Open(store_.OpenRunScratch(snapshot_.map().uid),
+                              RunKey()));
     }
     levels_ = std::make_unique<ProductLevels>(
         store_, snapshot_, *scratch_,

@@ -69,7 +69,7 @@ struct LogEntry {
 absl::StatusOr<std::unique_ptr<RunCheckpoint>> RunCheckpoint::Open(
     std::unique_ptr<storage::Scratch> scratch, const std::string& key) {
   std::unique_ptr<RunCheckpoint> checkpoint(
-      new RunCheckpoint(std::move(scratch)));
+      new RunCheckpoint(std::move(scratch), key));
   const auto kept_key = checkpoint->scratch_->Read(kKeyName);
   const auto log = checkpoint->scratch_->Read(kLogName);
   const auto bytes = TextBytes(key);
@@ -81,18 +81,13 @@ absl::StatusOr<std::unique_ptr<RunCheckpoint>> RunCheckpoint::Open(
       // What is not whole goes, so that new visits follow whole ones.
       MAPSIEVE_RETURN_IF_ERROR(
           checkpoint->scratch_->Write(kLogName, std::span(*log).first(size)));
+      checkpoint->has_begun_ = true;
       return checkpoint;
     }
+    checkpoint->states_.clear();
+    checkpoint->finished_.clear();
   }
-  MAPSIEVE_RETURN_IF_ERROR(checkpoint->Begin(key));
   return checkpoint;
-}
-
-absl::Status RunCheckpoint::Begin(const std::string& key) {
-  states_.clear();
-  finished_.clear();
-  MAPSIEVE_RETURN_IF_ERROR(scratch_->Clear());
-  return scratch_->Write(kKeyName, TextBytes(key));
 }
 
 /// Up to the first visit that is not whole; returns how long that part is.
@@ -120,6 +115,11 @@ bool RunCheckpoint::AreStatesWhole() const {
 
 absl::Status RunCheckpoint::Store(const std::string& name,
                                   std::span<const std::byte> bytes) {
+  if (!has_begun_) {
+    MAPSIEVE_RETURN_IF_ERROR(scratch_->Clear());
+    MAPSIEVE_RETURN_IF_ERROR(scratch_->Write(kKeyName, TextBytes(key_)));
+    has_begun_ = true;
+  }
   const auto visit = static_cast<uint32_t>(finished_.size());
   MAPSIEVE_RETURN_IF_ERROR(scratch_->Write(FileName(name, visit), bytes));
   const auto before = states_.find(name);

@@ -23,7 +23,7 @@ namespace mapsieve::engine {
 class RunCheckpoint {
  public:
   /// Goes on with what `scratch` holds, if that is of a run of the same `key`
-  /// and whole, else begins anew.
+  /// and whole; else the first Store begins anew.
   static absl::StatusOr<std::unique_ptr<RunCheckpoint>> Open(
       std::unique_ptr<storage::Scratch> scratch, const std::string& key);
 
@@ -47,13 +47,15 @@ class RunCheckpoint {
     uint64_t hash = 0;
   };
 
-  explicit RunCheckpoint(std::unique_ptr<storage::Scratch> scratch)
-      : scratch_(std::move(scratch)) {}
-  absl::Status Begin(const std::string& key);
+  RunCheckpoint(std::unique_ptr<storage::Scratch> scratch, std::string key)
+      : scratch_(std::move(scratch)), key_(std::move(key)) {}
   size_t ReadLog(std::span<const std::byte> log);
   bool AreStatesWhole() const;
 
   const std::unique_ptr<storage::Scratch> scratch_;
+  const std::string key_;
+  /// The scratch holds a run of this key.
+  bool has_begun_ = false;
   std::map<std::string, Version> states_;
   /// Names stored since the last finished visit, and what they replace.
   std::vector<std::string> stored_;
