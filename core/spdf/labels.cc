@@ -32,6 +32,14 @@ void LabelColumns::Append(const LabelSpans& part) {
   append(tangent, part.tangent);
 }
 
+void LabelColumns::Set(size_t i, const LabelColumns& other, size_t row) {
+  label[i] = other.label[row];
+  confidence[i] = other.confidence[row];
+  lambda[i] = other.lambda[row];
+  normal[i] = other.normal[row];
+  tangent[i] = other.tangent[row];
+}
+
 LabelColumns LabelColumns::Select(std::span<const uint32_t> rows) const {
   LabelColumns selected;
   selected.Reserve(rows.size());

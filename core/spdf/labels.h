@@ -47,6 +47,8 @@ struct LabelColumns {
   /// New entries have no value yet.
   void Resize(size_t size);
   void Append(const LabelSpans& part);
+  /// Makes entry `i` that of `other` at `row`.
+  void Set(size_t i, const LabelColumns& other, size_t row);
   /// The entries at `rows`, in that order.
   LabelColumns Select(std::span<const uint32_t> rows) const;
   /// Entries [begin, end).

@@ -1,10 +1,15 @@
 #include "core/spdf/tile_update.h"
 
 #include <algorithm>
-#include <set>
+#include <bit>
+#include <map>
+#include <utility>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "core/base/status.h"
+#include "core/geometry/morton.h"
+#include "core/spdf/tile_cells.h"
 #include "core/spdf/tile_units.h"
 #include "core/spdf/work_unit.h"
 
@@ -13,46 +18,71 @@ namespace {
 
 class TileUpdate {
  public:
-  TileUpdate(TileStore& store, std::span<const TileChange> changes,
-             const SpdfOptions& options, const SpdfConstants& constants,
-             const TilingOptions& tiling, const ExecutionContext& context)
-      : changes_(changes),
+  TileUpdate(TileStore& store, PreviousRun& previous,
+             std::span<const TileChange> changes, const SpdfOptions& options,
+             const SpdfConstants& constants, const TilingOptions& tiling,
+             const ExecutionContext& context)
+      : previous_(previous),
+        changes_(changes),
         options_(options),
         constants_(constants),
         tiling_(tiling),
         context_(context),
         tiles_(store, options, constants, context),
-        tile_count_(static_cast<int64_t>(tiles_.tiles().size())) {}
+        tile_count_(static_cast<int64_t>(tiles_.tiles().size())),
+        // No finer than what one change reaches.
+        cell_level_(static_cast<int>(
+            std::bit_width(static_cast<uint64_t>(constants.reach_steps)))) {}
 
   absl::StatusOr<UpdateSummary> Run() {
     for (const TileChange& change : changes_) {
-      if (const auto t = tiles_.Find(change.tile)) {
-        pending_.insert(*t);
-        to_emit_.insert(*t);
-      }
-      if (change.box.has_value()) MarkTouched(*change.box, {});
+      if (const auto t = tiles_.Find(change.tile)) CellsOf(*t, to_emit_);
+      if (change.box.has_value()) MarkTouched(*change.box, pending_);
     }
     while (!pending_.empty()) {
       // The first unit's worth of them; its changes may add others.
-      const std::vector<size_t> wanted(pending_.begin(), pending_.end());
-      const Unit unit = tiles_.Group(wanted, tiling_.max_unit_points).front();
-      for (const size_t t : unit) pending_.erase(t);
+      const Unit unit =
+          tiles_.Group(TilesOf(pending_), tiling_.max_unit_points).front();
       MAPSIEVE_RETURN_IF_ERROR(UpdateDeaths(unit));
       ReportVisits(unit, tile_count_);
     }
     done_ = tile_count_;
-    const std::vector<size_t> to_emit(to_emit_.begin(), to_emit_.end());
-    for (const Unit& unit : tiles_.Group(to_emit, tiling_.max_unit_points)) {
+    for (const Unit& unit :
+         tiles_.Group(TilesOf(to_emit_), tiling_.max_unit_points)) {
       MAPSIEVE_RETURN_IF_ERROR(EmitAnew(unit));
       ReportVisits(unit, 2 * tile_count_);
     }
     context_.ReportProgress(2 * tile_count_, 2 * tile_count_);
-    summary_.emitted_tile_count = static_cast<int64_t>(to_emit.size());
+    summary_.emitted_tile_count = static_cast<int64_t>(to_emit_.size());
     return summary_;
   }
 
  private:
   using Unit = TileUnits::Unit;
+  /// Cells of some tiles, by the tiles' numbers.
+  using CellSet = std::map<size_t, TileCells>;
+
+  static std::vector<size_t> TilesOf(const CellSet& cells) {
+    std::vector<size_t> tiles;
+    for (const auto& [t, of_tile] : cells) tiles.push_back(t);
+    return tiles;
+  }
+
+  TileCells& CellsOf(size_t t, CellSet& cells) const {
+    return cells.try_emplace(t, tiles_.tiles()[t].key, cell_level_)
+        .first->second;
+  }
+
+  /// Adds the cells that intersect `box`.
+  void Add(const LatticeBox& box, CellSet& cells) const {
+    for (const size_t t : tiles_.TilesIn(box)) CellsOf(t, cells).Add(box);
+  }
+
+  static bool Contains(const CellSet& cells, size_t tile,
+                       const LatticePoint& q) {
+    const auto found = cells.find(tile);
+    return found != cells.end() && found->second.Contains(q);
+  }
 
   bool IsQuota() const { return options_.rule == DensityRule::kQuota; }
 
@@ -68,24 +98,37 @@ class TileUpdate {
     context_.ReportProgress(done_, 2 * tile_count_);
   }
 
-  /// Points or deaths changed inside `box`: tiles in reach, but those of
-  /// `unit`, which has seen it, are to be filtered, those whose votes see it to
-  /// be emitted.
-  void MarkTouched(const LatticeBox& box, const Unit& unit) {
-    for (const size_t t : tiles_.TilesIn(box.Grown(DeathReach()))) {
-      if (!std::binary_search(unit.begin(), unit.end(), t)) pending_.insert(t);
-    }
-    const int64_t two_votes = 2 * constants_.reach_steps;
-    for (const size_t t : tiles_.TilesIn(box.Grown(two_votes))) {
-      to_emit_.insert(t);
-    }
+  /// Points or deaths changed inside `box`: adds to `to_filter` what is in
+  /// reach, and to what is to be emitted anew what has votes that see it.
+  void MarkTouched(const LatticeBox& box, CellSet& to_filter) {
+    Add(box.Grown(DeathReach()), to_filter);
+    Add(box.Grown(2 * constants_.reach_steps), to_emit_);
   }
 
-  /// Filters the unit through all rounds, given the deaths around it.
+  /// Which points of the unit, before its first step, are in `cells`.
+  BulkVector<uint8_t> PointsIn(const CellSet& cells,
+                               const LoadedUnit& loaded) const {
+    const WorkUnit& work = *loaded.work;
+    BulkVector<uint8_t> is_in(work.size());
+    context_.executor->ParallelFor(
+        static_cast<int64_t>(loaded.tiles.size()), [&](int64_t n) {
+          const LoadedTile& tile = loaded.tiles[static_cast<size_t>(n)];
+          for (size_t i = tile.begin; i < tile.end; ++i) {
+            is_in[i] = Contains(cells, tile.tile, work.Position(i)) ? 1 : 0;
+          }
+        });
+    return is_in;
+  }
+
+  /// Filters the pending cells of the unit's tiles through all rounds, given
+  /// the deaths around them.
   absl::Status UpdateDeaths(const Unit& unit) {
+    CellSet filtered;
+    for (const size_t t : unit) filtered.insert(pending_.extract(t));
     MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit loaded,
                               tiles_.Load(unit, DeathReach()));
     WorkUnit& work = *loaded.work;
+    work.core() = PointsIn(filtered, loaded);
     BulkVector<DeathRound>& deaths = work.deaths();
     MAPSIEVE_RETURN_IF_ERROR(tiles_.LoadStates(loaded, TileStateKind::kDeaths,
                                                /*with_halo=*/true, deaths));
@@ -104,6 +147,8 @@ class TileUpdate {
     } else {
       MAPSIEVE_RETURN_IF_ERROR(RunRounds(last_around, work));
     }
+    summary_.emitted.vote_count += work.vote_count();
+    CellSet touched;
     for (const LoadedTile& tile : loaded.tiles) {
       if (!tile.is_core) continue;
       const std::span<const DeathRound> now =
@@ -114,13 +159,18 @@ class TileUpdate {
           tiles_.StoreTileStates(tile, TileStateKind::kDeaths, deaths));
       MAPSIEVE_ASSIGN_OR_RETURN(const std::span<const LatticePoint> points,
                                 tiles_.LoadPoints(tile.tile));
-      std::optional<LatticeBox> changed;
+      TileCells changed(tiles_.tiles()[tile.tile].key, cell_level_);
       for (size_t i = 0; i < now.size(); ++i) {
-        if (now[i] == then[i]) continue;
-        const LatticeBox box = BoxOf(points[i]);
-        changed = changed.has_value() ? changed->Union(box) : box;
+        if (now[i] != then[i]) changed.Add(BoxOf(points[i]));
       }
-      MarkTouched(*changed, unit);
+      changed.ForEach(
+          [&](const LatticeBox& box) { MarkTouched(box, touched); });
+    }
+    // What was filtered together has seen these changes.
+    for (auto& [t, cells] : touched) {
+      const auto seen = filtered.find(t);
+      if (seen != filtered.end()) cells.Remove(seen->second);
+      if (cells.Any()) CellsOf(t, pending_).Add(cells);
     }
     return absl::OkStatus();
   }
@@ -137,7 +187,8 @@ class TileUpdate {
     return absl::OkStatus();
   }
 
-  /// Both votes and labels of the unit's tiles.
+  /// Both votes and labels of the touched cells of the unit's tiles; the rest
+  /// of the tiles is emitted as it was.
   absl::Status EmitAnew(const Unit& unit) {
     const int64_t reach = constants_.reach_steps;
     MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit loaded, tiles_.Load(unit, 2 * reach));
@@ -145,27 +196,69 @@ class TileUpdate {
     MAPSIEVE_RETURN_IF_ERROR(tiles_.LoadStates(loaded, TileStateKind::kDeaths,
                                                /*with_halo=*/true,
                                                work.deaths()));
-    // Voters around the unit are computed with it, from the halo beyond them.
-    const BulkVector<uint8_t> core = work.core();
-    const auto halo = tiles_.HaloTiles(unit, reach);
-    for (const LoadedTile& tile : loaded.tiles) {
-      const auto near = halo.find(tile.tile);
-      if (tile.is_core || near == halo.end()) continue;
-      for (size_t i = tile.begin; i < tile.end; ++i) {
-        const LatticePoint q = work.Position(i);
-        work.core()[i] = std::any_of(
-            near->second.begin(), near->second.end(), [&](size_t t) {
-              return tiles_.tiles()[t].key.box().Grown(reach).Contains(q);
-            });
-      }
+    CellSet labeled;
+    CellSet voting;
+    for (const size_t t : unit) {
+      const TileCells& cells = to_emit_.at(t);
+      labeled.emplace(t, cells);
+      cells.ForEach(
+          [&](const LatticeBox& box) { Add(box.Grown(reach), voting); });
     }
+    // Voters around the labeled are computed with them, from what is beyond.
+    BulkVector<uint8_t> is_labeled = PointsIn(labeled, loaded);
+    work.core() = PointsIn(voting, loaded);
     MAPSIEVE_RETURN_IF_ERROR(work.ComputeVoters(context_));
-    work.core() = core;
-    MAPSIEVE_ASSIGN_OR_RETURN(const WorkUnit::Labeled labeled,
+    work.core() = std::move(is_labeled);
+    MAPSIEVE_ASSIGN_OR_RETURN(WorkUnit::Labeled labels,
                               work.CastAwareVotes(context_));
-    return tiles_.Emit(loaded, labeled, summary_.emitted);
+    summary_.emitted.vote_count += work.vote_count();
+    MAPSIEVE_RETURN_IF_ERROR(FillPrevious(loaded, labels));
+    return tiles_.Emit(loaded, labels, summary_.emitted);
   }
 
+  /// Gives the survivors of the unit's tiles that have no new labels those of
+  /// before.
+  absl::Status FillPrevious(const LoadedUnit& loaded,
+                            WorkUnit::Labeled& labels) {
+    WorkUnit& work = *loaded.work;
+    return TryParallelFor(
+        *context_.executor, static_cast<int64_t>(loaded.tiles.size()),
+        [&](int64_t n) -> absl::Status {
+          const LoadedTile& tile = loaded.tiles[static_cast<size_t>(n)];
+          if (!tile.is_core) return absl::OkStatus();
+          MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+          const auto begin = std::lower_bound(labels.points.begin(),
+                                              labels.points.end(), tile.begin);
+          const auto end =
+              std::lower_bound(begin, labels.points.end(), tile.end);
+          const auto is_old = [&](uint32_t i) { return work.core()[i] == 0; };
+          if (std::none_of(begin, end, is_old)) return absl::OkStatus();
+          const CellKey& key = tiles_.tiles()[tile.tile].key;
+          MAPSIEVE_ASSIGN_OR_RETURN(const LabeledSurvivors before,
+                                    previous_.LoadSurvivors(key));
+          size_t old = 0;
+          for (auto point = begin; point != end; ++point) {
+            if (!is_old(*point)) continue;
+            const auto row = static_cast<size_t>(point - labels.points.begin());
+            const LatticePoint q = work.SurvivorPosition(row);
+            while (old < before.positions.size() &&
+                   MortonLess(before.positions[old], q)) {
+              ++old;
+            }
+            if (old == before.positions.size() || before.positions[old] != q) {
+              return absl::DataLossError(
+                  absl::StrCat("tile ", key.ToString(),
+                               ": the result of before lacks the "
+                               "point at lattice coordinates ",
+                               q.x, ", ", q.y, ", ", q.z));
+            }
+            labels.columns.Set(row, before.columns, old);
+          }
+          return absl::OkStatus();
+        });
+  }
+
+  PreviousRun& previous_;
   const std::span<const TileChange> changes_;
   const SpdfOptions& options_;
   const SpdfConstants& constants_;
@@ -173,9 +266,11 @@ class TileUpdate {
   const ExecutionContext& context_;
   TileUnits tiles_;
   const int64_t tile_count_;
-  /// Tiles to be filtered through all rounds.
-  std::set<size_t> pending_;
-  std::set<size_t> to_emit_;
+  const int cell_level_;
+  /// To be filtered through all rounds.
+  CellSet pending_;
+  /// To be labeled anew, and tiles to be emitted.
+  CellSet to_emit_;
   UpdateSummary summary_;
   int64_t done_ = 0;
 };
@@ -183,6 +278,7 @@ class TileUpdate {
 }  // namespace
 
 absl::StatusOr<UpdateSummary> UpdateTiles(TileStore& store,
+                                          PreviousRun& previous,
                                           std::span<const TileChange> changes,
                                           const Lattice& lattice,
                                           const SpdfOptions& options,
@@ -190,7 +286,9 @@ absl::StatusOr<UpdateSummary> UpdateTiles(TileStore& store,
                                           const ExecutionContext& context) {
   MAPSIEVE_RETURN_IF_ERROR(options.Validate(lattice));
   const SpdfConstants constants = MakeSpdfConstants(options, lattice);
-  return TileUpdate(store, changes, options, constants, tiling, context).Run();
+  return TileUpdate(store, previous, changes, options, constants, tiling,
+                    context)
+      .Run();
 }
 
 }  // namespace mapsieve::core

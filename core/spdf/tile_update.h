@@ -4,10 +4,12 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "core/base/executor.h"
 #include "core/geometry/cell_key.h"
+#include "core/spdf/labels.h"
 #include "core/spdf/spdf_options.h"
 #include "core/spdf/tile_filter.h"
 
@@ -27,6 +29,22 @@ struct UpdateSummary {
   int64_t emitted_tile_count = 0;
 };
 
+/// The survivors of a tile, in Morton order, and their labels.
+struct LabeledSurvivors {
+  std::vector<LatticePoint> positions;
+  LabelColumns columns;
+};
+
+/// What the run before emitted.
+class PreviousRun {
+ public:
+  virtual ~PreviousRun() = default;
+
+  /// The last Emit of a tile. Called from several threads at once.
+  virtual absl::StatusOr<LabeledSurvivors> LoadSurvivors(
+      const CellKey& tile) = 0;
+};
+
 /// Filters anew what `changes`, of some tiles of a filtered map, have touched,
 /// and emits the tiles whose answer may differ: what FilterTiles would emit for
 /// them. All others have the answer of before. `changes` may name tiles that
@@ -39,13 +57,17 @@ struct UpdateSummary {
 /// Why this is the same: the death round of a point follows from the points
 /// within its reach and which of them died in earlier rounds, so by induction
 /// over the rounds there is one set of death rounds that agrees with itself.
-/// A tile whose points, and the points and death rounds within reach of it, are
-/// as they were, agrees still. Every other tile is filtered through all rounds
-/// against the death rounds around it; if its own changed, those within reach
-/// of the change are filtered again, until none changes. That ends: after n
-/// passes the death rounds up to n are right.
-/// Errors: as FilterTiles.
+/// A point that has the points and death rounds within its reach that it had,
+/// agrees still. All others, by small cells of tiles, are filtered through all
+/// rounds against the death rounds around them; what lies within reach of a
+/// death round that changed is filtered again, until none changes. That ends:
+/// after n passes the death rounds up to n are right. The labels of a survivor
+/// follow from the survivors within two reaches: where these are as they were,
+/// it keeps those of `previous`.
+/// Errors: as FilterTiles, those of `previous`; kDataLoss: `previous` lacks a
+/// survivor.
 absl::StatusOr<UpdateSummary> UpdateTiles(TileStore& store,
+                                          PreviousRun& previous,
                                           std::span<const TileChange> changes,
                                           const Lattice& lattice,
                                           const SpdfOptions& options,

@@ -3,12 +3,14 @@
 #include <algorithm>
 #include <cstddef>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
 #include "core/base/status.h"
 #include "core/cloud/merge_duplicates.h"
 #include "core/geometry/morton.h"
+#include "server/engine/product_chunk.h"
 
 namespace mapsieve::engine {
 
@@ -54,6 +56,20 @@ std::vector<storage::BlobId> ContentsOf(
   for (const storage::ChunkRef& chunk : chunks) blobs.push_back(chunk.blob_id);
   std::sort(blobs.begin(), blobs.end());
   return blobs;
+}
+
+absl::StatusOr<core::LatticeCloud> ReadProduct(
+    const storage::ReadSnapshot& snapshot, const core::CellKey& tile) {
+  core::DecodeOptions columns = {.attributes = std::vector<std::string>()};
+  for (const std::string_view name :
+       {kDepthColumn, kLabelColumn, kConfidenceColumn, kLambdaColumns[0],
+        kLambdaColumns[1], kLambdaColumns[2], kNormalColumn, kTangentColumn}) {
+    columns.attributes->emplace_back(name);
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::vector<storage::ChunkRef> chunks,
+      snapshot.ListTileChunks(storage::ChunkKind::kProduct, tile));
+  return ReadPoints(snapshot, chunks, columns);
 }
 
 absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(

@@ -29,6 +29,12 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
 std::vector<storage::BlobId> ContentsOf(
     std::span<const storage::ChunkRef> chunks);
 
+/// The product of a tile in Morton order: kDepthColumn and the columns of the
+/// filter's answer, without the attributes of the raw points. Errors of
+/// ReadPoints.
+absl::StatusOr<core::LatticeCloud> ReadProduct(
+    const storage::ReadSnapshot& snapshot, const core::CellKey& tile);
+
 /// The distinct raw points of a tile in Morton order. Errors of ReadPoints.
 absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
     const storage::ReadSnapshot& snapshot, const core::CellKey& tile);

@@ -112,6 +112,35 @@ absl::StatusOr<const Column*> FindProductColumn(const LatticeCloud& points,
   return column;
 }
 
+absl::StatusOr<core::LabelColumns> LabelColumnsOf(const LatticeCloud& points) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView view,
+                            LabelColumnView::Of(points));
+  std::array<const Column*, kLambdaColumns.size()> lambda;
+  for (size_t l = 0; l < lambda.size(); ++l) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        lambda[l],
+        FindProductColumn(points, kLambdaColumns[l], ScalarType::kFloat32));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Column* const normal,
+      FindProductColumn(points, kNormalColumn, ScalarType::kUint32));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Column* const tangent,
+      FindProductColumn(points, kTangentColumn, ScalarType::kUint32));
+  core::LabelColumns columns;
+  columns.Resize(points.size());
+  for (size_t i = 0; i < points.size(); ++i) {
+    columns.label[i] = view.label(i);
+    columns.confidence[i] = view.confidence(i);
+    for (size_t l = 0; l < lambda.size(); ++l) {
+      columns.lambda[i][l] = lambda[l]->Get<float>(i);
+    }
+    columns.normal[i] = normal->Get<uint32_t>(i);
+    columns.tangent[i] = tangent->Get<uint32_t>(i);
+  }
+  return columns;
+}
+
 absl::StatusOr<LabelColumnView> LabelColumnView::Of(
     const LatticeCloud& points) {
   MAPSIEVE_RETURN_IF_ERROR(CountLabels(points).status());

@@ -63,6 +63,12 @@ absl::StatusOr<const core::Column*> FindProductColumn(
     const core::LatticeCloud& points, std::string_view name,
     core::ScalarType type);
 
+/// kLabelColumn, kConfidenceColumn, kLambdaColumns, kNormalColumn and
+/// kTangentColumn of product points; kDataLoss: one is missing, or a number in
+/// it is no label.
+absl::StatusOr<core::LabelColumns> LabelColumnsOf(
+    const core::LatticeCloud& points);
+
 /// Labels and confidences of product points, which outlive it.
 class LabelColumnView {
  public:

@@ -238,6 +238,17 @@ absl::Status StoredTiles::Emit(const core::TileResult& result) {
   return Flush();
 }
 
+absl::StatusOr<core::LabeledSurvivors> StoredTiles::LoadSurvivors(
+    const CellKey& tile) {
+  MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud product,
+                            ReadProduct(*previous_, tile));
+  if (product.size() == 0) return core::LabeledSurvivors();
+  MAPSIEVE_ASSIGN_OR_RETURN(core::LabelColumns columns,
+                            LabelColumnsOf(product));
+  return core::LabeledSurvivors{std::move(product.positions),
+                                std::move(columns)};
+}
+
 absl::Status StoredTiles::Flush() {
   pending_bytes_ = 0;
   const std::vector<Pending> pending = std::exchange(pending_, {});

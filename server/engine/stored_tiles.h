@@ -25,10 +25,10 @@
 namespace mapsieve::engine {
 
 /// Tile by tile the raw points of a stored revision for the filter, and the
-/// filter's answer for ProductLevels and as history chunks. Memory: the raw
+/// filter's answer for ProductLevels and as history chunks. Memory: the
 /// chunks of one tile for each worker, and answers up to a limit before they
 /// are written.
-class StoredTiles final : public core::TileStore {
+class StoredTiles final : public core::TileStore, public core::PreviousRun {
  public:
   struct Options {
     /// Decoded answers that wait to be written.
@@ -59,6 +59,10 @@ class StoredTiles final : public core::TileStore {
   absl::Status FinishVisit(std::span<const std::byte> record) override;
   std::vector<std::vector<std::byte>> FinishedVisits() override;
   absl::Status Emit(const core::TileResult& result) override;
+
+  // core::PreviousRun; only with a previous revision.
+  absl::StatusOr<core::LabeledSurvivors> LoadSurvivors(
+      const core::CellKey& tile) override;
 
   /// Writes what is pending; to be called after the last Emit.
   absl::Status Flush();

@@ -83,21 +83,6 @@ absl::StatusOr<std::vector<LatticePoint>> LoadPointsIn(
   }
 }
 
-/// The stored product of a tile, in Morton order, without the attributes of the
-/// raw points.
-absl::StatusOr<LatticeCloud> LoadProduct(const ReadSnapshot& snapshot,
-                                         const CellKey& tile) {
-  core::DecodeOptions columns = {.attributes = std::vector<std::string>()};
-  for (const std::string_view name :
-       {kDepthColumn, kLabelColumn, kConfidenceColumn, kLambdaColumns[0],
-        kLambdaColumns[1], kLambdaColumns[2], kNormalColumn, kTangentColumn}) {
-    columns.attributes->emplace_back(name);
-  }
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> chunks,
-                            snapshot.ListTileChunks(ChunkKind::kProduct, tile));
-  return ReadPoints(snapshot, chunks, columns);
-}
-
 std::string Place(const LatticePoint& q) {
   return absl::StrCat("the point at lattice coordinates ", q.x, ", ", q.y, ", ",
                       q.z);
@@ -178,7 +163,7 @@ absl::StatusOr<TileCheck> CheckTile(const ReadSnapshot& snapshot,
   const LatticeCloud expected = MakeProductCloud(
       survivors.Select(inside), filtered.columns.Select(inside).All());
   MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud stored,
-                            LoadProduct(snapshot, tile));
+                            ReadProduct(snapshot, tile));
   MAPSIEVE_ASSIGN_OR_RETURN(
       std::string difference,
       FirstDifference(stored, expected, inside_depths,

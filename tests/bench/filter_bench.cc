@@ -10,7 +10,6 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
-#include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <fstream>
@@ -26,6 +25,7 @@
 #include "core/spdf/cloud_filter.h"
 #include "core/spdf/kernels.h"
 #include "core/spdf/work_unit.h"
+#include "tests/bench/bench_util.h"
 #include "tests/bench/nanoflann_pass.h"
 
 namespace mapsieve::bench {
@@ -44,12 +44,6 @@ struct BenchOptions {
 [[noreturn]] void Fail(const std::string& message) {
   std::cerr << message << "\n";
   std::exit(1);
-}
-
-template <typename T>
-T ValueOrDie(absl::StatusOr<T> value) {
-  if (!value.ok()) Fail(value.status().ToString());
-  return *std::move(value);
 }
 
 std::vector<core::Point3> Simulated(const std::string& spec) {
@@ -86,13 +80,6 @@ std::vector<core::Point3> ReadCloud(const std::string& name) {
     points.push_back({p[0], p[1], p[2]});
   }
   return points;
-}
-
-double Seconds(const std::function<void()>& work) {
-  const auto start = std::chrono::steady_clock::now();
-  work();
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start)
-      .count();
 }
 
 struct FilterRun {
@@ -145,11 +132,6 @@ double CountingPassSeconds(const std::vector<core::LatticePoint>& distinct,
     if (!unit.RunQuota(constants.density_d2, {}).ok())
       Fail("the counting pass failed");
   });
-}
-
-double Median(std::vector<double> values) {
-  std::sort(values.begin(), values.end());
-  return values[values.size() / 2];
 }
 
 /// Peak of the resident set since the start or the last ForgetPeak.

@@ -2,9 +2,7 @@
 // beside the filter, in one run on one thread, and of each level its points,
 // its density where its input was denser, and its shares of labels.
 //   levels_table [--rule paper|quota] [--repeats N] [POINTS]
-#include <algorithm>
 #include <array>
-#include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -16,36 +14,17 @@
 #include "core/cloud/point_cloud.h"
 #include "core/spdf/cloud_filter.h"
 #include "core/spdf/levels.h"
+#include "tests/bench/bench_util.h"
 #include "tests/testing/level_density.h"
 
 namespace mapsieve::bench {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 struct TableOptions {
   core::SpdfOptions spdf = {.density_radius_m = 0.2};
   int64_t point_count = 1'000'000;
   int repeats = 3;
 };
-
-template <typename T>
-T ValueOrDie(absl::StatusOr<T> value) {
-  if (!value.ok()) {
-    std::fprintf(stderr, "%s\n", value.status().ToString().c_str());
-    std::exit(1);
-  }
-  return *std::move(value);
-}
-
-double Since(Clock::time_point start) {
-  return std::chrono::duration<double>(Clock::now() - start).count();
-}
-
-double Median(std::vector<double> values) {
-  std::sort(values.begin(), values.end());
-  return values[values.size() / 2];
-}
 
 void PrintLevels(const std::vector<core::LatticePoint>& points,
                  const std::vector<uint8_t>& depths,
@@ -99,22 +78,22 @@ void PrintTable(const TableOptions& options) {
   std::vector<uint8_t> depths;
   for (int i = 0; i < options.repeats; ++i) {
     core::PointCloud input{survey.positions, {}};
-    core::RefusedCounts refused;
-    Clock::time_point start = Clock::now();
-    const core::LatticeCloud cloud =
-        core::Quantize(std::move(input), core::Lattice(), refused);
-    const core::FilteredCloud filtered =
-        ValueOrDie(core::FilterCloud(cloud, options.spdf));
-    filter_s.push_back(Since(start));
+    core::LatticeCloud cloud;
+    core::FilteredCloud filtered;
+    filter_s.push_back(Seconds([&] {
+      core::RefusedCounts refused;
+      cloud = core::Quantize(std::move(input), core::Lattice(), refused);
+      filtered = ValueOrDie(core::FilterCloud(cloud, options.spdf));
+    }));
     points.clear();
     for (const uint32_t row : filtered.rows) {
       points.push_back(cloud.positions[row]);
     }
     labels.assign(filtered.columns.label.begin(), filtered.columns.label.end());
-    start = Clock::now();
-    depths =
-        ValueOrDie(core::ComputeDepths(points, core::Lattice(), options.spdf));
-    levels_s.push_back(Since(start));
+    levels_s.push_back(Seconds([&] {
+      depths = ValueOrDie(
+          core::ComputeDepths(points, core::Lattice(), options.spdf));
+    }));
   }
   std::printf("filter %.3f s, all levels %.3f s, ratio %.2f\n\n",
               Median(filter_s), Median(levels_s),

@@ -14,6 +14,8 @@ namespace mapsieve::core {
 namespace {
 
 namespace clouds = ::mapsieve::testing;
+using ::mapsieve::testing::StatusIs;
+using ::testing::HasSubstr;
 
 /// What the filter made of one tile.
 struct Filtered {
@@ -26,7 +28,7 @@ struct Filtered {
 };
 
 /// A map in memory that remembers what the filter made of it.
-class FilteredMap final : public TileStore {
+class FilteredMap final : public TileStore, public PreviousRun {
  public:
   explicit FilteredMap(int level) : level_(level) {}
 
@@ -104,11 +106,21 @@ class FilteredMap final : public TileStore {
     tile.rows.assign(result.rows.begin(), result.rows.end());
     tile.columns = {};
     tile.columns.Append(result.columns);
+    answers_[result.key] = {{result.positions.begin(), result.positions.end()},
+                            tile.columns};
     emitted.insert(result.key);
     return absl::OkStatus();
   }
+  absl::StatusOr<LabeledSurvivors> LoadSurvivors(const CellKey& key) override {
+    return answers_.at(key);
+  }
   /// To be called after a run.
   void ForgetStates() { states_.clear(); }
+
+  /// No tile had survivors.
+  void ForgetAnswers() {
+    for (auto& [key, answer] : answers_) answer = {};
+  }
 
   const std::map<CellKey, Filtered, CellKeyLess>& tiles() const {
     return tiles_;
@@ -118,6 +130,7 @@ class FilteredMap final : public TileStore {
  private:
   const int level_;
   std::map<CellKey, Filtered, CellKeyLess> tiles_;
+  std::map<CellKey, LabeledSurvivors, CellKeyLess> answers_;
   std::map<TileStateKind,
            std::map<CellKey, std::vector<std::byte>, CellKeyLess>>
       states_;
@@ -127,6 +140,9 @@ struct Case {
   DensityRule rule;
   int level;
   int64_t max_unit_points;
+  /// Of the scene.
+  int point_count = 6000;
+  double extent_m = 1.5;
 };
 
 class UpdateTilesTest : public ::testing::TestWithParam<Case> {};
@@ -166,8 +182,8 @@ TEST_P(UpdateTilesTest, GivesWhatFilteringFromScratchGives) {
   const Lattice lattice;
   std::mt19937_64 random(91);
   FilteredMap map(c.level);
-  std::vector<LatticePoint> points =
-      DistinctPoints(clouds::SceneCloud(6000, 1.5, 90).positions);
+  std::vector<LatticePoint> points = DistinctPoints(
+      clouds::SceneCloud(c.point_count, c.extent_m, 90).positions);
   map.SetPoints(points);
   MAPSIEVE_ASSERT_OK(FilterTiles(map, lattice, options, tiling, {}));
   size_t emitted = 0;
@@ -180,7 +196,7 @@ TEST_P(UpdateTilesTest, GivesWhatFilteringFromScratchGives) {
     const std::vector<TileChange> changes = map.SetPoints(points);
     const auto before = map.tiles();
     const auto summary =
-        UpdateTiles(map, changes, lattice, options, tiling, {});
+        UpdateTiles(map, map, changes, lattice, options, tiling, {});
     MAPSIEVE_ASSERT_OK(summary);
     EXPECT_EQ(summary->emitted_tile_count,
               static_cast<int64_t>(map.emitted.size()));
@@ -211,14 +227,51 @@ INSTANTIATE_TEST_SUITE_P(
     ::testing::Values(
         Case{DensityRule::kPaper, 9, 1}, Case{DensityRule::kPaper, 9, 1500},
         Case{DensityRule::kPaper, 10, 1}, Case{DensityRule::kPaper, 12, 100000},
-        Case{DensityRule::kQuota, 9, 1}, Case{DensityRule::kQuota, 10, 1500}));
+        Case{DensityRule::kQuota, 9, 1}, Case{DensityRule::kQuota, 10, 1500},
+        // Larger than what an edit reaches: parts of tiles are filtered.
+        Case{DensityRule::kPaper, 12, 1, 20000, 5.0},
+        Case{DensityRule::kPaper, 13, 50000, 20000, 5.0},
+        Case{DensityRule::kQuota, 12, 5000, 20000, 5.0}));
+
+TEST(UpdateTiles, OfASmallChangeInALargeTileVotesLittle) {
+  FilteredMap map(13);
+  std::vector<LatticePoint> points =
+      DistinctPoints(clouds::SceneCloud(20000, 6.0, 94).positions);
+  map.SetPoints(points);
+  const SpdfOptions options = {.density_radius_m = 0.2, .reach_m = 0.5};
+  const auto whole = FilterTiles(map, Lattice(), options, {}, {});
+  MAPSIEVE_ASSERT_OK(whole);
+  points.erase(points.begin() + 5000, points.begin() + 5010);
+  map.ForgetStates();
+  const std::vector<TileChange> changes = map.SetPoints(points);
+  const auto update =
+      UpdateTiles(map, map, changes, Lattice(), options, {}, {});
+  MAPSIEVE_ASSERT_OK(update);
+  EXPECT_GT(update->emitted.vote_count, 0);
+  EXPECT_LT(update->emitted.vote_count, whole->vote_count / 4);
+}
+
+TEST(UpdateTiles, FailsWhereTheResultOfBeforeLacksAPoint) {
+  FilteredMap map(13);
+  std::vector<LatticePoint> points =
+      DistinctPoints(clouds::SceneCloud(2000, 6.0, 95).positions);
+  map.SetPoints(points);
+  MAPSIEVE_ASSERT_OK(FilterTiles(map, Lattice(), {}, {}, {}));
+  points.pop_back();
+  map.ForgetStates();
+  const std::vector<TileChange> changes = map.SetPoints(points);
+  map.ForgetAnswers();
+  EXPECT_THAT(UpdateTiles(map, map, changes, Lattice(), {}, {}, {}),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       HasSubstr("lacks the point at lattice coordinates")));
+}
 
 TEST(UpdateTiles, WithoutChangesEmitsNothing) {
   FilteredMap map(9);
   map.SetPoints(DistinctPoints(clouds::SceneCloud(2000, 1.0, 92).positions));
   MAPSIEVE_ASSERT_OK(FilterTiles(map, Lattice(), {}, {}, {}));
   map.emitted.clear();
-  MAPSIEVE_ASSERT_OK(UpdateTiles(map, {}, Lattice(), {}, {}, {}));
+  MAPSIEVE_ASSERT_OK(UpdateTiles(map, map, {}, Lattice(), {}, {}, {}));
   EXPECT_TRUE(map.emitted.empty());
 }
 
@@ -229,7 +282,7 @@ TEST(UpdateTiles, EmitsATileWhoseAttributesChangedAndNoOther) {
   map.emitted.clear();
   const CellKey key = map.Tiles().front().key;
   const std::vector<TileChange> changes = {{key, std::nullopt}};
-  MAPSIEVE_ASSERT_OK(UpdateTiles(map, changes, Lattice(), {}, {}, {}));
+  MAPSIEVE_ASSERT_OK(UpdateTiles(map, map, changes, Lattice(), {}, {}, {}));
   EXPECT_EQ(map.emitted.size(), 1u);
   EXPECT_TRUE(map.emitted.contains(key));
 }
