@@ -2,17 +2,36 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
+#include <numeric>
 #include <string>
 #include <string_view>
 #include <utility>
 #include <vector>
 
 #include "core/base/status.h"
-#include "core/cloud/merge_duplicates.h"
 #include "core/geometry/morton.h"
 #include "server/engine/product_chunk.h"
 
 namespace mapsieve::engine {
+namespace {
+
+bool IsBefore(const core::LatticePoint& a, const core::LatticePoint& b) {
+  return core::MortonLess(a, b);
+}
+
+absl::Status CheckOrder(const core::LatticeCloud& points,
+                        const storage::ChunkRef& chunk) {
+  if (std::is_sorted(points.positions.begin(), points.positions.end(),
+                     IsBefore)) {
+    return absl::OkStatus();
+  }
+  return absl::DataLossError(
+      absl::StrCat("blob ", chunk.blob_id, " of tile ", chunk.tile.ToString(),
+                   ": its points are not in Morton order"));
+}
+
+}  // namespace
 
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
@@ -37,17 +56,34 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot,
     std::span<const storage::ChunkRef> chunks,
     const core::DecodeOptions& options) {
+  if (chunks.size() == 1) {
+    MAPSIEVE_ASSIGN_OR_RETURN(core::LatticeCloud points,
+                              ReadPoints(snapshot, chunks.front(), options));
+    MAPSIEVE_RETURN_IF_ERROR(CheckOrder(points, chunks.front()));
+    return points;
+  }
   core::LatticeCloud points;
+  std::vector<uint32_t> order;
+  const auto less = [&points](uint32_t a, uint32_t b) {
+    return core::MortonLess(points.positions[a], points.positions[b]);
+  };
   for (const storage::ChunkRef& chunk : chunks) {
     MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud part,
                               ReadPoints(snapshot, chunk, options));
+    MAPSIEVE_RETURN_IF_ERROR(CheckOrder(part, chunk));
     points.lattice = part.lattice;
     MAPSIEVE_RETURN_IF_ERROR(points.attributes.AppendAll(
         points.size(), part.attributes, part.size()));
     points.positions.insert(points.positions.end(), part.positions.begin(),
                             part.positions.end());
+    const auto middle = static_cast<ptrdiff_t>(order.size());
+    order.resize(points.size());
+    std::iota(order.begin() + middle, order.end(),
+              static_cast<uint32_t>(middle));
+    std::inplace_merge(order.begin(), order.begin() + middle, order.end(),
+                       less);
   }
-  return points.Select(core::MortonOrder(points.positions));
+  return points.Select(order);
 }
 
 std::vector<storage::BlobId> ContentsOf(
@@ -77,32 +113,24 @@ absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
   MAPSIEVE_ASSIGN_OR_RETURN(
       const std::vector<storage::ChunkRef> chunks,
       snapshot.ListTileChunks(storage::ChunkKind::kRaw, tile));
-  const auto less = [](const core::LatticePoint& a,
-                       const core::LatticePoint& b) {
-    return core::MortonLess(a, b);
-  };
   std::vector<core::LatticePoint> points;
   for (const storage::ChunkRef& chunk : chunks) {
     MAPSIEVE_ASSIGN_OR_RETURN(
         core::LatticeCloud cloud,
         ReadPoints(snapshot, chunk,
                    {.attributes = std::vector<std::string>()}));
+    MAPSIEVE_RETURN_IF_ERROR(CheckOrder(cloud, chunk));
     std::vector<core::LatticePoint>& part = cloud.positions;
-    if (!std::is_sorted(part.begin(), part.end(), less)) {
-      return absl::DataLossError(
-          absl::StrCat("blob ", chunk.blob_id, " of tile ", tile.ToString(),
-                       ": its points are not in Morton order"));
-    }
     if (points.empty()) {
       points = std::move(part);
       continue;
     }
     const auto middle = static_cast<ptrdiff_t>(points.size());
     points.insert(points.end(), part.begin(), part.end());
-    if (less(points[static_cast<size_t>(middle)],
-             points[static_cast<size_t>(middle) - 1])) {
+    if (IsBefore(points[static_cast<size_t>(middle)],
+                 points[static_cast<size_t>(middle) - 1])) {
       std::inplace_merge(points.begin(), points.begin() + middle, points.end(),
-                         less);
+                         IsBefore);
     }
   }
   points.erase(std::unique(points.begin(), points.end()), points.end());

@@ -18,7 +18,7 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
     const core::DecodeOptions& options = {});
 
 /// The points of some chunks of a tile together, in Morton order. Errors of
-/// the other ReadPoints.
+/// the other ReadPoints; kDataLoss: a chunk is in another order.
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot,
     std::span<const storage::ChunkRef> chunks,

@@ -117,11 +117,9 @@ void PrintTable(const TableOptions& options) {
     const char* name;
     core::TilingOptions tiling;
   };
-  // Without a halo that is worth its while a unit makes its rounds one by one.
-  const std::array kUnits = {
-      Units{"a tile, rounds in lock-step", {1, 0}},
-      Units{"an eighth of the points, rounds in lock-step", {size / 8, 0}},
-      Units{"an eighth of the points, as the filter chooses", {size / 8}}};
+  const std::array kUnits = {Units{"a tile, rounds in lock-step", {1, 0}},
+                             Units{"an eighth of the points", {size / 8}},
+                             Units{"half of the points", {size / 2}}};
   std::vector<double> whole;
   std::vector<double> seconds[kLevels.size()][kUnits.size()];
   Run run;

@@ -19,6 +19,10 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
+#include "core/base/executor.h"
+#include "core/base/mutex.h"
+#include "core/base/status.h"
+#include "core/cloud/point_cloud.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 
