@@ -103,6 +103,33 @@ absl::StatusOr<std::vector<std::byte>> Scratch::Read(
   return ReadExactly(*file, path, 0, size);
 }
 
+absl::Status Scratch::ReadParts(const std::string& name,
+                                std::span<const ByteRange> parts,
+                                std::span<std::byte> room) const {
+  // To read a small gap costs less than another call.
+  constexpr int64_t kMaxGap = 4096;
+  MAPSIEVE_RETURN_IF_ERROR(CheckName(name));
+  const std::string path = JoinPath(directory_, name);
+  MAPSIEVE_ASSIGN_OR_RETURN(const auto file,
+                            file_system_.Open(path, OpenMode::kRead));
+  auto to = room.begin();
+  for (size_t i = 0; i < parts.size();) {
+    const size_t first = i;
+    int64_t end = parts[i++].end;
+    while (i < parts.size() && parts[i].begin - end <= kMaxGap) {
+      end = parts[i++].end;
+    }
+    const int64_t begin = parts[first].begin;
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> bytes,
+                              ReadExactly(*file, path, begin, end - begin));
+    for (const ByteRange& part : parts.subspan(first, i - first)) {
+      to = std::copy(bytes.begin() + (part.begin - begin),
+                     bytes.begin() + (part.end - begin), to);
+    }
+  }
+  return absl::OkStatus();
+}
+
 absl::Status Scratch::Remove(const std::string& name) {
   MAPSIEVE_RETURN_IF_ERROR(CheckName(name));
   const absl::Status status = file_system_.Remove(JoinPath(directory_, name));

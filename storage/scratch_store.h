@@ -2,6 +2,7 @@
 #define MAPSIEVE_STORAGE_SCRATCH_STORE_H_
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <string>
@@ -13,6 +14,12 @@
 #include "storage/space_reserve.h"
 
 namespace mapsieve::storage {
+
+/// Bytes [begin, end) of a string.
+struct ByteRange {
+  int64_t begin = 0;
+  int64_t end = 0;
+};
 
 /// Named byte strings on disk: what a job puts aside because it does not fit
 /// memory. Never synced. Different names may be used from several threads at
@@ -44,6 +51,12 @@ class Scratch {
 
   /// What was last written. kNotFound if nothing was.
   absl::StatusOr<std::vector<std::byte>> Read(const std::string& name) const;
+
+  /// Writes `parts` of what was last written, ascending, to `room`, which is
+  /// just as large. kNotFound if nothing was; kDataLoss: it is shorter.
+  absl::Status ReadParts(const std::string& name,
+                         std::span<const ByteRange> parts,
+                         std::span<std::byte> room) const;
 
   /// Forgets what `name` holds; OK if nothing.
   absl::Status Remove(const std::string& name);

@@ -45,15 +45,30 @@ class MemoryTileStore final : public TileStore {
     return static_cast<int64_t>(end - begin);
   }
 
+  absl::Status LoadPointRows(const CellKey& key, std::span<const RowRange> rows,
+                             std::span<LatticePoint> room) override {
+    const size_t begin = parts_.at(key).first;
+    auto to = room.begin();
+    for (const RowRange& part : rows) {
+      for (size_t i = part.begin; i < part.end; ++i) {
+        *to++ = cloud_.positions[rows_[begin + i]];
+      }
+    }
+    return absl::OkStatus();
+  }
+
   absl::Status StoreState(const CellKey& key, TileStateKind kind,
                           std::span<const std::byte> bytes) override {
     states_[kind][key].assign(bytes.begin(), bytes.end());
     return absl::OkStatus();
   }
 
-  absl::StatusOr<std::vector<std::byte>> LoadState(
-      const CellKey& key, TileStateKind kind) override {
-    return states_.at(kind).at(key);
+  absl::Status LoadState(const CellKey& key, TileStateKind kind,
+                         std::span<const RowRange> rows,
+                         std::span<std::byte> room) override {
+    CopyRows<std::byte>(states_.at(kind).at(key), rows, room,
+                        room.size() / RowCount(rows));
+    return absl::OkStatus();
   }
 
   absl::Status Emit(const TileResult& result) override {

@@ -75,6 +75,20 @@ class LevelNodes final : public PointTiles {
     return static_cast<int64_t>(size);
   }
 
+  /// Its parts are not to be had in part.
+  absl::Status LoadPointRows(const CellKey& key, std::span<const RowRange> rows,
+                             std::span<LatticePoint> room) override {
+    const auto [begin, end] = parts_of_.at(key);
+    int64_t point_count = 0;
+    for (size_t p = begin; p < end; ++p) {
+      point_count += parts_[p].cell.point_count;
+    }
+    BulkVector<LatticePoint> all(static_cast<size_t>(point_count));
+    MAPSIEVE_RETURN_IF_ERROR(LoadPoints(key, all).status());
+    CopyRows<LatticePoint>(all, rows, room);
+    return absl::OkStatus();
+  }
+
  private:
   LevelStore& store_;
   PreviousLevels* const previous_;

@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_CORE_SPDF_TILE_FILTER_H_
 #define MAPSIEVE_CORE_SPDF_TILE_FILTER_H_
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -41,6 +42,33 @@ struct TileResult {
   LabelSpans columns;
 };
 
+/// Some rows of a tile: [begin, end).
+struct RowRange {
+  uint32_t begin = 0;
+  uint32_t end = 0;
+
+  friend bool operator==(const RowRange&, const RowRange&) = default;
+};
+
+inline size_t RowCount(std::span<const RowRange> rows) {
+  size_t count = 0;
+  for (const RowRange& part : rows) count += part.end - part.begin;
+  return count;
+}
+
+/// Copies the `rows` of `all`, whose rows have `row_size` entries each, to
+/// `room`, one after the other.
+template <typename T>
+void CopyRows(std::span<const T> all, std::span<const RowRange> rows,
+              std::span<T> room, size_t row_size = 1) {
+  auto to = room.begin();
+  for (const RowRange& part : rows) {
+    const auto from =
+        all.subspan(part.begin * row_size, (part.end - part.begin) * row_size);
+    to = std::copy(from.begin(), from.end(), to);
+  }
+}
+
 /// Where the points of tiles come from.
 class PointTiles {
  public:
@@ -54,20 +82,29 @@ class PointTiles {
   /// many they are. Called from several threads at once.
   virtual absl::StatusOr<int64_t> LoadPoints(const CellKey& key,
                                              std::span<LatticePoint> room) = 0;
+
+  /// Writes some of those points, in ascending order, to `room`, which is just
+  /// as large; called after a LoadPoints of the tile, from several threads at
+  /// once.
+  virtual absl::Status LoadPointRows(const CellKey& key,
+                                     std::span<const RowRange> rows,
+                                     std::span<LatticePoint> room) = 0;
 };
 
 /// Where the filter finds the tiles of a map and puts what it makes of them.
-/// LoadPoints and LoadState are called from several threads at once, the others
+/// The methods that load are called from several threads at once, the others
 /// from one.
 class TileStore : public PointTiles {
  public:
-  /// Keeps bytes of the filter for a tile until the next StoreState of the
-  /// same kind or the end of the run.
+  /// Keeps bytes of the filter for a tile, as many for each distinct point,
+  /// until the next StoreState of the same kind or the end of the run.
   virtual absl::Status StoreState(const CellKey& key, TileStateKind kind,
                                   std::span<const std::byte> bytes) = 0;
-  /// The bytes last stored; called only after StoreState.
-  virtual absl::StatusOr<std::vector<std::byte>> LoadState(
-      const CellKey& key, TileStateKind kind) = 0;
+  /// Writes the bytes last stored for some points, in ascending order, to
+  /// `room`, which is just as large; called only after StoreState.
+  virtual absl::Status LoadState(const CellKey& key, TileStateKind kind,
+                                 std::span<const RowRange> rows,
+                                 std::span<std::byte> room) = 0;
 
   /// The filter is done with a visit: it would go on from the states stored so
   /// far, given the `record` of this visit and of those before. A store that

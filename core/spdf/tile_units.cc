@@ -1,6 +1,7 @@
 #include "core/spdf/tile_units.h"
 
 #include <algorithm>
+#include <utility>
 
 namespace mapsieve::core {
 namespace {
@@ -27,7 +28,8 @@ PointUnits::PointUnits(PointTiles& source, const SpdfOptions& options,
       tiles_(source.Tiles()),
       source_(source),
       options_(options),
-      constants_(constants) {
+      constants_(constants),
+      directories_(tiles_.size()) {
   for (size_t t = 0; t < tiles_.size(); ++t) {
     tile_numbers_.emplace(tiles_[t].key, t);
   }
@@ -142,30 +144,28 @@ absl::StatusOr<std::span<const LatticePoint>> PointUnits::LoadPoints(
 absl::Status PointUnits::LoadBatch(const HaloOf& halo, int64_t margin,
                                    std::span<LoadedTile> batch,
                                    WorkUnit& work) {
+  const auto count = static_cast<int64_t>(batch.size());
   size_t room = 0;
   std::vector<size_t> begins;
-  for (const LoadedTile& tile : batch) {
+  for (LoadedTile& tile : batch) {
     begins.push_back(room);
-    room += static_cast<size_t>(tiles_[tile.tile].point_count);
+    const TileDirectory& directory = directories_[tile.tile];
+    if (!tile.is_core && directory.IsMade()) {
+      tile.rows = directory.RowsIn(HaloBoxes(halo.at(tile.tile), margin));
+      room += RowCount(tile.rows);
+    } else {
+      room += static_cast<size_t>(tiles_[tile.tile].point_count);
+    }
   }
   begins.push_back(room);
   batch_points_.resize(std::max(batch_points_.size(), room));
   std::vector<std::span<LatticePoint>> points(batch.size());
-  const auto count = static_cast<int64_t>(batch.size());
   MAPSIEVE_RETURN_IF_ERROR(
-      TryParallelFor(*context_.executor, count, [&](int64_t i) -> absl::Status {
+      TryParallelFor(*context_.executor, count, [&](int64_t i) {
         const auto b = static_cast<size_t>(i);
-        LoadedTile& tile = batch[b];
         points[b] = std::span(batch_points_)
                         .subspan(begins[b], begins[b + 1] - begins[b]);
-        MAPSIEVE_ASSIGN_OR_RETURN(
-            const int64_t size,
-            source_.LoadPoints(tiles_[tile.tile].key, points[b]));
-        points[b] = points[b].first(static_cast<size_t>(size));
-        if (!tile.is_core) {
-          tile.rows = KeepNear(halo.at(tile.tile), margin, points[b]);
-        }
-        return absl::OkStatus();
+        return LoadTile(halo, margin, batch[b], points[b]);
       }));
   for (size_t b = 0; b < batch.size(); ++b) {
     batch[b].begin = work.size();
@@ -179,23 +179,59 @@ absl::Status PointUnits::LoadBatch(const HaloOf& halo, int64_t margin,
   return absl::OkStatus();
 }
 
-/// Leaves in `points`, those of a halo tile, the ones within `margin` steps of
-/// any of the tiles `core`, and returns their rows.
-std::vector<uint32_t> PointUnits::KeepNear(
-    const std::vector<size_t>& core, int64_t margin,
-    std::span<LatticePoint>& points) const {
-  std::vector<uint32_t> rows;
-  for (uint32_t row = 0; row < points.size(); ++row) {
-    for (const size_t t : core) {
-      if (tiles_[t].key.box().Grown(margin).Contains(points[row])) {
-        points[rows.size()] = points[row];
-        rows.push_back(row);
-        break;
+/// Loads the wanted points of a tile into `points`, which it shortens to them,
+/// and sets their rows. `tile.rows`: all that are needed of a halo tile; none
+/// if that is not known yet.
+absl::Status PointUnits::LoadTile(const HaloOf& halo, int64_t margin,
+                                  LoadedTile& tile,
+                                  std::span<LatticePoint>& points) {
+  const CellKey& key = tiles_[tile.tile].key;
+  TileDirectory& directory = directories_[tile.tile];
+  if (tile.is_core || !directory.IsMade()) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
+                              source_.LoadPoints(key, points));
+    points = points.first(static_cast<size_t>(size));
+    if (!directory.IsMade()) directory = TileDirectory(key, points);
+    tile.rows.clear();
+    if (size > 0) tile.rows.push_back({0, static_cast<uint32_t>(size)});
+  } else if (!tile.rows.empty()) {
+    MAPSIEVE_RETURN_IF_ERROR(source_.LoadPointRows(key, tile.rows, points));
+  }
+  if (tile.is_core) return absl::OkStatus();
+
+  const std::vector<LatticeBox> boxes = HaloBoxes(halo.at(tile.tile), margin);
+  std::vector<RowRange> kept;
+  size_t from = 0;
+  size_t to = 0;
+  for (const RowRange& part : tile.rows) {
+    for (uint32_t row = part.begin; row < part.end; ++row) {
+      const LatticePoint q = points[from++];
+      if (std::none_of(boxes.begin(), boxes.end(), [&](const LatticeBox& box) {
+            return box.Contains(q);
+          })) {
+        continue;
+      }
+      points[to++] = q;
+      if (!kept.empty() && kept.back().end == row) {
+        ++kept.back().end;
+      } else {
+        kept.push_back({row, row + 1});
       }
     }
   }
-  points = points.first(rows.size());
-  return rows;
+  tile.rows = std::move(kept);
+  points = points.first(to);
+  return absl::OkStatus();
+}
+
+/// Where the points within `margin` steps of the tiles `core` are.
+std::vector<LatticeBox> PointUnits::HaloBoxes(const std::vector<size_t>& core,
+                                              int64_t margin) const {
+  std::vector<LatticeBox> boxes;
+  for (const size_t t : core) {
+    boxes.push_back(tiles_[t].key.box().Grown(margin));
+  }
+  return boxes;
 }
 
 template <typename Use>

@@ -3,7 +3,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <memory>
 #include <optional>
 #include <span>
@@ -17,6 +16,7 @@
 #include "core/base/status.h"
 #include "core/geometry/cell_key.h"
 #include "core/spdf/spdf_options.h"
+#include "core/spdf/tile_cells.h"
 #include "core/spdf/tile_filter.h"
 #include "core/spdf/work_unit.h"
 
@@ -30,8 +30,8 @@ struct LoadedTile {
   /// The tile's points in the unit: [begin, end).
   size_t begin = 0;
   size_t end = 0;
-  /// Of a halo tile, the rows of its points that were loaded.
-  std::vector<uint32_t> rows;
+  /// The rows of the tile's points that were loaded, in ascending order.
+  std::vector<RowRange> rows;
 };
 
 /// Some tiles, the core, with the points around them.
@@ -88,14 +88,17 @@ class PointUnits {
 
   absl::Status LoadBatch(const HaloOf& halo, int64_t margin,
                          std::span<LoadedTile> batch, WorkUnit& work);
-  std::vector<uint32_t> KeepNear(const std::vector<size_t>& core,
-                                 int64_t margin,
-                                 std::span<LatticePoint>& points) const;
+  absl::Status LoadTile(const HaloOf& halo, int64_t margin, LoadedTile& tile,
+                        std::span<LatticePoint>& points);
+  std::vector<LatticeBox> HaloBoxes(const std::vector<size_t>& core,
+                                    int64_t margin) const;
 
   PointTiles& source_;
   const SpdfOptions& options_;
   const SpdfConstants& constants_;
   std::unordered_map<CellKey, size_t, CellKeyHash> tile_numbers_;
+  /// One entry a tile; made when it is loaded for the first time.
+  std::vector<TileDirectory> directories_;
 };
 
 /// PointUnits of the filter's store, which also moves what the filter keeps of
@@ -129,9 +132,6 @@ class TileUnits : public PointUnits {
   absl::Status EmitBatch(WorkUnit& unit, std::span<const LoadedTile> tiles,
                          const WorkUnit::Labeled& labeled,
                          SpdfSummary& summary);
-  template <typename T>
-  absl::Status LoadTileStates(const LoadedTile& tile, TileStateKind kind,
-                              BulkVector<T>& states);
 
   TileStore& store_;
   BulkVector<uint32_t> batch_rows_;
@@ -145,36 +145,14 @@ absl::Status TileUnits::LoadStates(const LoadedUnit& loaded, TileStateKind kind,
       *context_.executor, static_cast<int64_t>(loaded.tiles.size()),
       [&](int64_t i) {
         const LoadedTile& tile = loaded.tiles[static_cast<size_t>(i)];
-        if (!tile.is_core && (!with_halo || tile.rows.empty())) {
+        if (tile.rows.empty() || (!tile.is_core && !with_halo)) {
           return absl::OkStatus();
         }
-        return LoadTileStates(tile, kind, states);
+        return store_.LoadState(
+            tiles_[tile.tile].key, kind, tile.rows,
+            std::as_writable_bytes(
+                std::span(states).subspan(tile.begin, tile.end - tile.begin)));
       });
-}
-
-template <typename T>
-absl::Status TileUnits::LoadTileStates(const LoadedTile& tile,
-                                       TileStateKind kind,
-                                       BulkVector<T>& states) {
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> bytes,
-                            store_.LoadState(tiles_[tile.tile].key, kind));
-  const size_t count = bytes.size() / sizeof(T);
-  const size_t needed =
-      tile.is_core ? tile.end - tile.begin : size_t{tile.rows.back()} + 1;
-  if (count < needed) {
-    return absl::InternalError(
-        absl::StrCat("state of tile ", tiles_[tile.tile].key.ToString(),
-                     " holds ", count, " points, expected ", needed));
-  }
-  if (tile.is_core) {
-    std::memcpy(states.data() + tile.begin, bytes.data(), needed * sizeof(T));
-    return absl::OkStatus();
-  }
-  for (size_t i = 0; i < tile.rows.size(); ++i) {
-    std::memcpy(&states[tile.begin + i],
-                bytes.data() + tile.rows[i] * sizeof(T), sizeof(T));
-  }
-  return absl::OkStatus();
 }
 
 template <typename T>

@@ -68,9 +68,12 @@ class TileUpdate {
     return tiles;
   }
 
+  TileGrid GridOf(size_t t) const {
+    return TileGrid(tiles_.tiles()[t].key, cell_level_);
+  }
+
   TileCells& CellsOf(size_t t, CellSet& cells) const {
-    return cells.try_emplace(t, tiles_.tiles()[t].key, cell_level_)
-        .first->second;
+    return cells.try_emplace(t, GridOf(t)).first->second;
   }
 
   /// Adds the cells that intersect `box`.
@@ -159,7 +162,7 @@ class TileUpdate {
           tiles_.StoreTileStates(tile, TileStateKind::kDeaths, deaths));
       MAPSIEVE_ASSIGN_OR_RETURN(const std::span<const LatticePoint> points,
                                 tiles_.LoadPoints(tile.tile));
-      TileCells changed(tiles_.tiles()[tile.tile].key, cell_level_);
+      TileCells changed(GridOf(tile.tile));
       for (size_t i = 0; i < now.size(); ++i) {
         if (now[i] != then[i]) changed.Add(BoxOf(points[i]));
       }

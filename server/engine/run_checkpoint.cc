@@ -133,13 +133,14 @@ absl::Status RunCheckpoint::Store(const std::string& name,
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::vector<std::byte>> RunCheckpoint::Load(
-    const std::string& name) const {
+absl::Status RunCheckpoint::Load(const std::string& name,
+                                 std::span<const storage::ByteRange> parts,
+                                 std::span<std::byte> room) const {
   const auto found = states_.find(name);
   if (found == states_.end()) {
     return absl::NotFoundError(absl::StrCat("no state ", name));
   }
-  return scratch_->Read(FileName(name, found->second.visit));
+  return scratch_->ReadParts(FileName(name, found->second.visit), parts, room);
 }
 
 absl::Status RunCheckpoint::FinishVisit(std::span<const std::byte> record) {

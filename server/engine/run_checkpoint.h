@@ -30,7 +30,10 @@ class RunCheckpoint {
   /// Replaces the state `name` (a-z, 0-9 and -). What it was before comes back
   /// if the process ends before the next FinishVisit. Errors of Scratch::Write.
   absl::Status Store(const std::string& name, std::span<const std::byte> bytes);
-  absl::StatusOr<std::vector<std::byte>> Load(const std::string& name) const;
+  /// Parts of a state. Errors of Scratch::ReadParts.
+  absl::Status Load(const std::string& name,
+                    std::span<const storage::ByteRange> parts,
+                    std::span<std::byte> room) const;
 
   /// What was stored since the last call is what a later run finds, with
   /// `record`.

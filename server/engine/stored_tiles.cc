@@ -32,6 +32,33 @@ std::string StateName(const CellKey& key, core::TileStateKind kind) {
   return std::to_string(static_cast<int>(kind)) + "-" + key.ToString();
 }
 
+std::string PointsName(const CellKey& key) {
+  return "points-" + key.ToString();
+}
+
+/// As many points as there is room for, from the bytes of their offsets.
+void TakePoints(std::span<const std::byte> bytes, const LatticePoint& corner,
+                std::span<LatticePoint> room) {
+  for (size_t i = 0; i < room.size(); ++i) {
+    Offsets offsets;
+    std::memcpy(&offsets, bytes.data() + i * sizeof(Offsets), sizeof(Offsets));
+    room[i] = {corner.x + offsets[0], corner.y + offsets[1],
+               corner.z + offsets[2]};
+  }
+}
+
+/// Where rows of `row_bytes` each lie in a file.
+std::vector<storage::ByteRange> BytesOf(std::span<const core::RowRange> rows,
+                                        size_t row_bytes) {
+  const auto size = static_cast<int64_t>(row_bytes);
+  std::vector<storage::ByteRange> parts;
+  parts.reserve(rows.size());
+  for (const core::RowRange& part : rows) {
+    parts.push_back({part.begin * size, part.end * size});
+  }
+  return parts;
+}
+
 /// Calls use(i, j) for every place that a[i] and b[j] share; both in Morton
 /// order. Of several b in one place, the first; of several a, all.
 template <typename Use>
@@ -92,18 +119,12 @@ absl::Status StoredTiles::ReadTileList() {
 /// to be used, after the first.
 absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
                                                 std::span<LatticePoint> room) {
-  const std::string name = "points-" + key.ToString();
+  const std::string name = PointsName(key);
   const LatticePoint corner = key.corner();
   const auto kept = scratch_.Read(name);
   if (kept.ok()) {
     const size_t count = std::min(kept->size() / sizeof(Offsets), room.size());
-    for (size_t i = 0; i < count; ++i) {
-      Offsets offsets;
-      std::memcpy(&offsets, kept->data() + i * sizeof(Offsets),
-                  sizeof(Offsets));
-      room[i] = {corner.x + offsets[0], corner.y + offsets[1],
-                 corner.z + offsets[2]};
-    }
+    TakePoints(*kept, corner, room.first(count));
     return static_cast<int64_t>(count);
   }
   if (!absl::IsNotFound(kept.status())) return kept.status();
@@ -127,6 +148,16 @@ absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
   return static_cast<int64_t>(points.size());
 }
 
+absl::Status StoredTiles::LoadPointRows(const CellKey& key,
+                                        std::span<const core::RowRange> rows,
+                                        std::span<LatticePoint> room) {
+  std::vector<std::byte> bytes(room.size() * sizeof(Offsets));
+  MAPSIEVE_RETURN_IF_ERROR(scratch_.ReadParts(
+      PointsName(key), BytesOf(rows, sizeof(Offsets)), bytes));
+  TakePoints(bytes, key.corner(), room);
+  return absl::OkStatus();
+}
+
 absl::Status StoredTiles::StoreState(const CellKey& key,
                                      core::TileStateKind kind,
                                      std::span<const std::byte> bytes) {
@@ -138,19 +169,29 @@ absl::Status StoredTiles::StoreState(const CellKey& key,
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::vector<std::byte>> StoredTiles::LoadState(
-    const CellKey& key, core::TileStateKind kind) {
+absl::Status StoredTiles::LoadState(const CellKey& key,
+                                    core::TileStateKind kind,
+                                    std::span<const core::RowRange> rows,
+                                    std::span<std::byte> room) {
+  const size_t row_bytes = room.size() / core::RowCount(rows);
   if (options_.checkpoint != nullptr) {
-    return options_.checkpoint->Load(StateName(key, kind));
+    return options_.checkpoint->Load(StateName(key, kind),
+                                     BytesOf(rows, row_bytes), room);
   }
   if (kind != core::TileStateKind::kDeaths || previous_ == nullptr ||
       stored_deaths_.contains(key)) {
-    return scratch_.Read(StateName(key, kind));
+    return scratch_.ReadParts(StateName(key, kind), BytesOf(rows, row_bytes),
+                              room);
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<core::DeathRound> deaths,
                             PreviousDeaths(key));
-  const auto bytes = std::as_bytes(std::span(deaths));
-  return std::vector<std::byte>(bytes.begin(), bytes.end());
+  if (deaths.size() < rows.back().end) {
+    return absl::DataLossError(
+        absl::StrCat("tile ", key.ToString(), ": expected ", rows.back().end,
+                     " or more points in its history, found ", deaths.size()));
+  }
+  core::CopyRows(std::as_bytes(std::span(deaths)), rows, room);
+  return absl::OkStatus();
 }
 
 /// Of the tile's points of today: those of the previous run, kAlive for points

@@ -52,10 +52,14 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
   std::vector<core::TileInfo> Tiles() const override { return tiles_; }
   absl::StatusOr<int64_t> LoadPoints(
       const core::CellKey& key, std::span<core::LatticePoint> room) override;
+  absl::Status LoadPointRows(const core::CellKey& key,
+                             std::span<const core::RowRange> rows,
+                             std::span<core::LatticePoint> room) override;
   absl::Status StoreState(const core::CellKey& key, core::TileStateKind kind,
                           std::span<const std::byte> bytes) override;
-  absl::StatusOr<std::vector<std::byte>> LoadState(
-      const core::CellKey& key, core::TileStateKind kind) override;
+  absl::Status LoadState(const core::CellKey& key, core::TileStateKind kind,
+                         std::span<const core::RowRange> rows,
+                         std::span<std::byte> room) override;
   absl::Status FinishVisit(std::span<const std::byte> record) override;
   std::vector<std::vector<std::byte>> FinishedVisits() override;
   absl::Status Emit(const core::TileResult& result) override;

@@ -55,14 +55,24 @@ class BenchTiles final : public core::TileStore {
     std::copy_n(begin, room.size(), room.begin());
     return static_cast<int64_t>(room.size());
   }
+  absl::Status LoadPointRows(const core::CellKey& key,
+                             std::span<const core::RowRange> rows,
+                             std::span<core::LatticePoint> room) override {
+    core::CopyRows<core::LatticePoint>(
+        std::span(points_).subspan(begins_.at(key)), rows, room);
+    return absl::OkStatus();
+  }
   absl::Status StoreState(const core::CellKey& key, core::TileStateKind kind,
                           std::span<const std::byte> bytes) override {
     states_[kind][key].assign(bytes.begin(), bytes.end());
     return absl::OkStatus();
   }
-  absl::StatusOr<std::vector<std::byte>> LoadState(
-      const core::CellKey& key, core::TileStateKind kind) override {
-    return states_.at(kind).at(key);
+  absl::Status LoadState(const core::CellKey& key, core::TileStateKind kind,
+                         std::span<const core::RowRange> rows,
+                         std::span<std::byte> room) override {
+    core::CopyRows<std::byte>(states_.at(kind).at(key), rows, room,
+                              room.size() / core::RowCount(rows));
+    return absl::OkStatus();
   }
   absl::Status Emit(const core::TileResult& /*result*/) override {
     return absl::OkStatus();

@@ -418,15 +418,24 @@ class SmallTiles : public TileStore {
     std::copy(points.begin(), points.end(), room.begin());
     return static_cast<int64_t>(points.size());
   }
+  absl::Status LoadPointRows(const CellKey& key, std::span<const RowRange> rows,
+                             std::span<LatticePoint> room) override {
+    CopyRows<LatticePoint>(points_.at(key), rows, room);
+    return absl::OkStatus();
+  }
   absl::Status StoreState(const CellKey& key, TileStateKind kind,
                           std::span<const std::byte> bytes) override {
     states_[{static_cast<int>(kind), key.x, key.y, key.z}].assign(bytes.begin(),
                                                                   bytes.end());
     return absl::OkStatus();
   }
-  absl::StatusOr<std::vector<std::byte>> LoadState(
-      const CellKey& key, TileStateKind kind) override {
-    return states_.at({static_cast<int>(kind), key.x, key.y, key.z});
+  absl::Status LoadState(const CellKey& key, TileStateKind kind,
+                         std::span<const RowRange> rows,
+                         std::span<std::byte> room) override {
+    CopyRows<std::byte>(
+        states_.at({static_cast<int>(kind), key.x, key.y, key.z}), rows, room,
+        room.size() / RowCount(rows));
+    return absl::OkStatus();
   }
   absl::Status Emit(const TileResult& result) override {
     const auto& points = points_.at(result.key);

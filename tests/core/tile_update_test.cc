@@ -85,20 +85,28 @@ class FilteredMap final : public TileStore, public PreviousRun {
     std::copy(points.begin(), points.end(), room.begin());
     return static_cast<int64_t>(points.size());
   }
+  absl::Status LoadPointRows(const CellKey& key, std::span<const RowRange> rows,
+                             std::span<LatticePoint> room) override {
+    CopyRows<LatticePoint>(tiles_.at(key).points, rows, room);
+    return absl::OkStatus();
+  }
   absl::Status StoreState(const CellKey& key, TileStateKind kind,
                           std::span<const std::byte> bytes) override {
     states_[kind][key].assign(bytes.begin(), bytes.end());
     return absl::OkStatus();
   }
-  absl::StatusOr<std::vector<std::byte>> LoadState(
-      const CellKey& key, TileStateKind kind) override {
+  absl::Status LoadState(const CellKey& key, TileStateKind kind,
+                         std::span<const RowRange> rows,
+                         std::span<std::byte> room) override {
+    std::span<const std::byte> all =
+        std::as_bytes(std::span(tiles_.at(key).deaths));
     const auto of_kind = states_.find(kind);
     if (of_kind != states_.end()) {
       const auto found = of_kind->second.find(key);
-      if (found != of_kind->second.end()) return found->second;
+      if (found != of_kind->second.end()) all = found->second;
     }
-    const auto bytes = std::as_bytes(std::span(tiles_.at(key).deaths));
-    return std::vector<std::byte>(bytes.begin(), bytes.end());
+    CopyRows<std::byte>(all, rows, room, room.size() / RowCount(rows));
+    return absl::OkStatus();
   }
   absl::Status Emit(const TileResult& result) override {
     Filtered& tile = tiles_.at(result.key);

@@ -327,6 +327,32 @@ TEST_F(StoreTest, ScratchLastsAsLongAsItsOwner) {
   EXPECT_FALSE(std::filesystem::exists(scratch_path));
 }
 
+TEST_F(StoreTest, ScratchGivesPartsOfWhatItHolds) {
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto scratch, store_->NewScratch());
+  std::string all;
+  for (int i = 0; all.size() < 30000; ++i) absl::StrAppend(&all, i, " ");
+  MAPSIEVE_ASSERT_OK(scratch->Write("x", Bytes(all)));
+  // With gaps small and large, and none.
+  const std::vector<ByteRange> parts = {
+      {0, 1}, {5, 9}, {9, 12}, {4000, 4001}, {9000, 9000}, {20000, 30000}};
+  std::string expected;
+  for (const ByteRange& part : parts) {
+    expected += all.substr(static_cast<size_t>(part.begin),
+                           static_cast<size_t>(part.end - part.begin));
+  }
+  std::string found(expected.size(), ' ');
+  const auto room =
+      std::as_writable_bytes(std::span(found.data(), found.size()));
+  MAPSIEVE_ASSERT_OK(scratch->ReadParts("x", parts, room));
+  EXPECT_EQ(found, expected);
+  const auto end = static_cast<int64_t>(all.size());
+  EXPECT_THAT(
+      scratch->ReadParts("x", std::vector<ByteRange>{{end - 1, end + 1}}, room),
+      StatusIs(absl::StatusCode::kDataLoss, HasSubstr("expected 2 bytes")));
+  EXPECT_THAT(scratch->ReadParts("never", parts, room),
+              StatusIs(absl::StatusCode::kNotFound, _));
+}
+
 TEST_F(StoreTest, AFullDiskStopsWritersNotReaders) {
   const MapRecord map = MakeMap("campus");
   Commit(map, {"a"});
