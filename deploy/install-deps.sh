@@ -11,6 +11,7 @@ build=(
   libsqlite3-dev libcli11-dev nlohmann-json3-dev libspdlog-dev libpng-dev
   libfreetype-dev fonts-dejavu-core gnuplot-nox
   libgtest-dev libgmock-dev libnanoflann-dev
+  clang-14 libclang-rt-14-dev
 )
 runtime=(
   libgrpc++1.51 libprotobuf32 libabsl20220623 liblz4-1 libzstd1 libxxhash0

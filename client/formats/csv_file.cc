@@ -223,15 +223,14 @@ std::vector<std::string> CleanNames(
   return clean;
 }
 
-// The names in a comment, if it names x, y, z and `count` columns in all.
+// The names in a comment, if it names x, y, z.
 std::vector<std::string> NamesInComment(std::string_view comment,
-                                        char separator, size_t count) {
+                                        char separator) {
   while (comment.starts_with('#') || comment.starts_with('/')) {
     comment.remove_prefix(1);
   }
   std::vector<std::string_view> fields;
   Split(comment, separator, fields);
-  if (fields.size() != count) return {};
   for (const std::string_view axis : {"x", "y", "z"}) {
     if (std::none_of(fields.begin(), fields.end(), [&](auto field) {
           return EqualsIgnoringCase(Unquoted(field), axis);
@@ -260,6 +259,11 @@ absl::StatusOr<Beginning> ReadBeginning(
     std::string_view line;
     MAPSIEVE_ASSIGN_OR_RETURN(const bool more, cursor.NextLine(line));
     if (!more) {
+      for (const char separator : {kBlanks, ';', ',', '\t'}) {
+        beginning.separator = separator;
+        beginning.names = NamesInComment(comment, separator);
+        if (!beginning.names.empty()) return beginning;
+      }
       return absl::DataLossError(absl::StrCat(
           file->name(), ": expected lines of x y z, found none but comments"));
     }
@@ -300,9 +304,9 @@ absl::StatusOr<Beginning> ReadBeginning(
       beginning.names = CleanNames(fields);
       return beginning;
     }
-    beginning.names =
-        NamesInComment(comment, beginning.separator, fields.size());
-    if (beginning.names.empty()) {
+    beginning.names = NamesInComment(comment, beginning.separator);
+    if (beginning.names.size() != fields.size()) {
+      beginning.names.clear();
       for (size_t i = 0; i < fields.size(); ++i) {
         beginning.names.push_back(i < 3 ? std::string(1, "xyz"[i])
                                         : absl::StrCat("c", i));
@@ -430,6 +434,14 @@ absl::StatusOr<std::unique_ptr<PointWriter>> CreateCsvFile(
     names.push_back(attribute.name);
   }
   MAPSIEVE_RETURN_IF_ERROR(CheckAttributes(name, written));
+  for (const std::string& written_name : names) {
+    for (const std::string_view axis : {"x", "y", "z"}) {
+      if (!EqualsIgnoringCase(written_name, axis)) continue;
+      return absl::InvalidArgumentError(
+          absl::StrCat(name, ": an attribute is named \"", written_name,
+                       "\", which is the position in this format; rename it"));
+    }
+  }
   MAPSIEVE_ASSIGN_OR_RETURN(auto file, OutputFile::Create(path));
   auto writer =
       std::make_unique<CsvWriter>(std::move(file), options, separator);

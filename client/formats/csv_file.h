@@ -22,7 +22,7 @@ namespace mapsieve::client {
 /// passed over; a separator at the end of a line is ignored.
 ///
 /// kInvalidArgument: fewer than three columns, no x, y or z, a name twice, or
-/// column_names of another count; kDataLoss: neither points nor a header.
+/// column_names of another count; kDataLoss: neither points nor names.
 /// ReadBatch: kDataLoss with the line for a word that is not a number or a line
 /// of another count.
 absl::StatusOr<std::unique_ptr<PointReader>> OpenCsvFile(
@@ -35,8 +35,8 @@ absl::StatusOr<std::unique_ptr<PointReader>> OpenCsvFile(
 /// latter. Missing values are empty, or "nan" between blanks. In names, what
 /// separates columns becomes "_".
 ///
-/// kInvalidArgument: a step that is negative or not finite, or two names that
-/// became the same.
+/// kInvalidArgument: a step that is negative or not finite, an attribute named
+/// x, y or z in any case, or two names that became the same.
 absl::StatusOr<std::unique_ptr<PointWriter>> CreateCsvFile(
     const std::filesystem::path& path, const WriteOptions& options);
 

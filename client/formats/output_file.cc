@@ -51,9 +51,7 @@ absl::StatusOr<std::unique_ptr<OutputFile>> OutputFile::Create(
 OutputFile::OutputFile(std::string name, std::string temporary, int descriptor)
     : name_(std::move(name)),
       temporary_(std::move(temporary)),
-      descriptor_(descriptor) {
-  buffer_.reserve(kBufferBytes);
-}
+      descriptor_(descriptor) {}
 
 OutputFile::~OutputFile() {
   if (descriptor_ >= 0) ::close(descriptor_);

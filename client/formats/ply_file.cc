@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "client/formats/batch_columns.h"
 #include "client/formats/file_input.h"
 #include "client/formats/point_records.h"
 #include "client/formats/record_columns.h"
@@ -127,7 +128,7 @@ absl::Status TakeFormat(const InputCursor& cursor, std::string_view rest,
 
 absl::Status TakeElement(const InputCursor& cursor, std::string_view rest,
                          PlyHeader& header) {
-  PlyElement element{.name = std::string(TakeWord(rest))};
+  PlyElement element{.name = CleanText(TakeWord(rest), '_')};
   const std::string_view count = TakeWord(rest);
   if (!ParseNumber(count, element.count) || element.count < 0) {
     return cursor.DamagedLine(absl::StrCat("element ", Quoted(element.name),
@@ -158,7 +159,7 @@ absl::Status TakeProperty(const InputCursor& cursor, std::string_view rest,
         "TYPE NAME\"");
   }
   const std::string_view name = words.back();
-  PlyProperty property{.name = std::string(name)};
+  PlyProperty property{.name = CleanText(name, '_')};
   MAPSIEVE_ASSIGN_OR_RETURN(property.type,
                             ParseType(cursor, name, words[words.size() - 2]));
   if (is_list) {

@@ -146,7 +146,7 @@ class Scanner {
     }
     if (keyword == "METADATA") return SkipParagraph();
     if (keyword == "POINT_DATA" || keyword == "CELL_DATA") {
-      MAPSIEVE_ASSIGN_OR_RETURN(tuple_count_, Count(keyword.c_str()));
+      MAPSIEVE_ASSIGN_OR_RETURN(tuple_count_, Count(keyword));
       of_points_ = keyword == "POINT_DATA";
       if (of_points_ && (!contents_.positions.has_value() ||
                          tuple_count_ != contents_.point_count)) {
@@ -206,8 +206,8 @@ class Scanner {
         MAPSIEVE_RETURN_IF_ERROR(SkipParagraph());
         MAPSIEVE_ASSIGN_OR_RETURN(name, Word("name of an array"));
       }
-      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t components, Count(name.c_str()));
-      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t tuples, Count(name.c_str()));
+      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t components, Count(Quoted(name)));
+      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t tuples, Count(Quoted(name)));
       MAPSIEVE_ASSIGN_OR_RETURN(const std::string type, Word("type"));
       if (of_points_ && tuples != tuple_count_) {
         return cursor_.DamagedLine(absl::StrCat(
@@ -249,12 +249,12 @@ class Scanner {
       return SkipNumbers(size, 4, "LOOKUP_TABLE");
     }
     if (is_colour) {
-      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t components, Count(name.c_str()));
+      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t components, Count(Quoted(name)));
       return ScanValues(keyword, name, "float", components, tuple_count_);
     }
     int64_t components = known->second;
     if (components == 0) {
-      MAPSIEVE_ASSIGN_OR_RETURN(components, Count(name.c_str()));
+      MAPSIEVE_ASSIGN_OR_RETURN(components, Count(Quoted(name)));
     }
     MAPSIEVE_ASSIGN_OR_RETURN(const std::string type, Word("type"));
     if (keyword == "SCALARS") {
@@ -302,7 +302,7 @@ class Scanner {
       }
       contents_.arrays.push_back(std::move(section));
     }
-    return SkipNumbers(tuples, components, name.c_str());
+    return SkipNumbers(tuples, components, Quoted(name));
   }
 
   // A section whose first number is the next word.
@@ -318,20 +318,21 @@ class Scanner {
   }
 
   absl::Status SkipNumbers(int64_t count, int64_t components,
-                           const char* what) {
+                           std::string_view what) {
     // A number takes at least two bytes, so this many are not there.
     if (count > cursor_.file().size() / components) {
       return cursor_.DamagedLine(
-          absl::StrCat(what, ": declares ", count, " times ", components,
-                       " numbers, more than the file has bytes"));
+          absl::StrCat(ToAbsl(what), ": declares ", count, " times ",
+                       components, " numbers, more than the file has bytes"));
     }
     for (int64_t i = 0; i < count * components; ++i) {
       MAPSIEVE_ASSIGN_OR_RETURN(const bool more, Next());
       if (more && LooksLikeNumber(token_)) continue;
-      return cursor_.DamagedLine(absl::StrCat(
-          what, ": expected ", count * components, " numbers, found ", i,
-          more ? absl::StrCat(" and then ", Quoted(token_))
-               : " and the end of the file"));
+      return cursor_.DamagedLine(
+          absl::StrCat(ToAbsl(what), ": expected ", count * components,
+                       " numbers, found ", i,
+                       more ? absl::StrCat(" and then ", Quoted(token_))
+                            : " and the end of the file"));
     }
     return absl::OkStatus();
   }
@@ -359,18 +360,19 @@ class Scanner {
     return cursor_.DamagedLine(absl::StrCat("the file ends; expected ", what));
   }
 
-  absl::StatusOr<std::string> Word(const char* what) {
+  absl::StatusOr<std::string> Word(std::string_view what) {
     MAPSIEVE_ASSIGN_OR_RETURN(const bool more, Next());
     if (more) return std::string(token_);
-    return cursor_.DamagedLine(absl::StrCat("the file ends; expected ", what));
+    return cursor_.DamagedLine(
+        absl::StrCat("the file ends; expected ", ToAbsl(what)));
   }
 
-  absl::StatusOr<int64_t> Count(const char* what) {
+  absl::StatusOr<int64_t> Count(std::string_view what) {
     MAPSIEVE_ASSIGN_OR_RETURN(const std::string word, Word(what));
     int64_t count = 0;
     if (ParseNumber(word, count) && count >= 0) return count;
     return cursor_.DamagedLine(
-        absl::StrCat(what, ": expected a count, found ", Quoted(word)));
+        absl::StrCat(ToAbsl(what), ": expected a count, found ", Quoted(word)));
   }
 
   // The next word into token_, or again the one put back.

@@ -24,6 +24,7 @@ using core::PointCloud;
 using core::ScalarType;
 using mapsieve::testing::StatusIs;
 using ::testing::AllOf;
+using ::testing::AnyOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -143,6 +144,13 @@ TEST(CsvReader, ReadsNumbersExactly) {
 
 TEST(CsvReader, ReadsAHeaderAlone) {
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud cloud, ReadText("x,y,z,a\n"));
+  EXPECT_EQ(cloud.size(), 0);
+  EXPECT_THAT(Names(cloud), ElementsAre("a"));
+}
+
+TEST(CsvReader, ReadsACommentThatNamesColumnsAlone) {
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud cloud,
+                                ReadText("# x y z a\n"));
   EXPECT_EQ(cloud.size(), 0);
   EXPECT_THAT(Names(cloud), ElementsAre("a"));
 }
@@ -311,6 +319,13 @@ TEST(CsvWriter, ItsReaderGetsTheValuesBack) {
       EXPECT_EQ(read_whole.Get<double>(i), whole.GetAsDouble(i));
     }
   }
+}
+
+TEST(CsvWriter, RefusesAnAttributeThatWouldBeAPosition) {
+  PointCloud cloud;
+  cloud.attributes.columns() = {Column({"Y", ScalarType::kInt8})};
+  EXPECT_THAT(Written(".csv", cloud),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("\"Y\"")));
 }
 
 TEST(CsvWriter, RefusesNamesThatBecomeOne) {

@@ -280,6 +280,12 @@ TEST(PlyReader, RefusesWithTheReason) {
                   vertex) +
            std::string(100, '\0'),
        kDataLoss, "expected 1 bytes, the file has 0"},
+      {Header(little,
+              "element a 1\nproperty int i\x7F\n"
+              "property list uchar int j\n" +
+                  vertex) +
+           "123",
+       kDataLoss, "i_: expected 4 bytes, the file has 3"},
       {Header(little, "element a 1\nproperty list int int i\n" + vertex) +
            Packed<false>(int32_t{-1}) + "123456789012",
        kDataLoss, "list \"i\" has -1 values"},

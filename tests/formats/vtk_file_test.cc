@@ -192,6 +192,9 @@ TEST(VtkReader, NamesTheLineOfDamage) {
       ReadSections("POINT_DATA 3\nNORMALS n float\n0 0 1 0 0 1\nNORMALS "
                    "m float\n"),
       StatusIs(absl::StatusCode::kDataLoss, HasSubstr("found 6")));
+  EXPECT_THAT(ReadSections("POINT_DATA 3\nFIELD F 1\na\x01 1 b\n"),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       HasSubstr("\"a\\x01\": expected a count")));
   EXPECT_THAT(ReadText(kHead),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("POINTS")));
   EXPECT_THAT(

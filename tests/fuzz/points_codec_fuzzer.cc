@@ -2,24 +2,20 @@
 // it accepts back to the encoder.
 
 #include <cstdint>
-#include <cstdio>
-#include <cstdlib>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "core/base/bytes.h"
 #include "core/codec/block_head.h"
 #include "core/codec/points_codec.h"
 #include "tests/codec/codec_test_util.h"
+#include "tests/fuzz/check.h"
 
 namespace mapsieve::core {
 namespace {
 
-void Check(bool holds, const char* what) {
-  if (holds) return;
-  std::fprintf(stderr, "does not hold: %s\n", what);
-  std::abort();
-}
+using mapsieve::testing::Check;
 
 void Decode(std::span<const std::byte> block) {
   const DecodeOptions options{.max_decoded_bytes = 256 << 10};
@@ -34,6 +30,14 @@ void Decode(std::span<const std::byte> block) {
   Check(
       header.ok() && header->point_count == static_cast<int64_t>(cloud->size()),
       "the header of a block that decodes is read, and right");
+  const auto length = ReadBlockLength(block.first(kBlockPrefixBytes));
+  Check(length.ok() && *length == static_cast<int64_t>(block.size()),
+        "the first bytes of a block that decodes tell its length");
+  const auto bare =
+      DecodePoints(block, {.attributes = std::vector<std::string>()});
+  Check(bare.ok() && bare->positions == cloud->positions &&
+            bare->attributes.columns().empty(),
+        "points do not depend on the columns that are wanted");
   for (const Compression compression : kCompressions) {
     const auto again = EncodePoints(*cloud, {.compression = compression});
     Check(again.ok(), "what was decoded is encoded");
