@@ -2,7 +2,7 @@
 """Times the service on one large map, end to end, and prints a table.
 
 usage: service_bench.py BIN_DIR POINTS [--memory 1GiB] [--clients 4]
-                        [--tile-edge M] [--work DIR]
+                        [--tile-edge M] [--work DIR] [--cgroup DIR]
 
 A campus of POINTS is simulated, uploaded and processed by a real server while
 clients query it; then 1 % of the points, from five places, are uploaded again
@@ -25,11 +25,15 @@ SPOTS = 5
 
 
 class Server:
-    def __init__(self, binary, data, memory):
+    def __init__(self, binary, data, memory, cgroup):
+        def enter_cgroup():
+            if cgroup:
+                pathlib.Path(cgroup, "cgroup.procs").write_text("0")
         self.process = subprocess.Popen(
             [binary, "--data", data, "--listen", "127.0.0.1:0", "--memory",
              memory],
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+            preexec_fn=enter_cgroup)
         self.address = self.process.stdout.readline().split()[-1]
 
     def peak_mib(self):
@@ -90,7 +94,7 @@ class Bench:
         self.arguments = arguments
         self.work = work
         self.server = Server(self.bin / "mapsieved", work / "data",
-                             arguments.memory)
+                             arguments.memory, arguments.cgroup)
         self.queries = 0
         self.failures = []
         self.stopping = threading.Event()
@@ -207,6 +211,8 @@ def main():
     parser.add_argument("--clients", type=int, default=4)
     parser.add_argument("--tile-edge", type=float, default=0)
     parser.add_argument("--work", help="folder for the data, default /tmp")
+    parser.add_argument("--cgroup", help="control group to run the server in, "
+                        "with the limits that it has")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=arguments.work) as work:
         Bench(arguments, pathlib.Path(work)).run()
