@@ -263,6 +263,8 @@ absl::Status SqliteDatabase::StatusOf(int code) const {
   switch (code & 0xff) {
     case SQLITE_CORRUPT:
     case SQLITE_NOTADB:
+    // Our statements fit the tables that we made.
+    case SQLITE_ERROR:
       return absl::DataLossError(
           absl::StrCat(message, "; restore the data directory from a backup"));
     case SQLITE_IOERR:
@@ -312,12 +314,6 @@ absl::StatusOr<SqliteStatement> SqliteDatabase::Prepare(
     const int code =
         sqlite3_prepare_v3(handle_, sql.c_str(), static_cast<int>(sql.size()),
                            SQLITE_PREPARE_PERSISTENT, &statement, nullptr);
-    // Our statements fit the tables that we made.
-    if (code == SQLITE_ERROR) {
-      return absl::DataLossError(
-          absl::StrCat(path_, ": damaged: ", sqlite3_errmsg(handle_),
-                       "; restore the data directory from a backup"));
-    }
     if (code != SQLITE_OK) return StatusOf(code);
   }
   return SqliteStatement(*this, statement);

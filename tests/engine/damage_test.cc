@@ -158,8 +158,10 @@ TEST_F(DamageTest, OfTheCatalogueIsDataLossOrNoMatter) {
     const absl::Status status = service_.Open();
     if (!status.ok()) {
       ++loss_count;
-      EXPECT_THAT(status, mapsieve::testing::StatusIs(
-                              absl::StatusCode::kDataLoss, HasSubstr(path)));
+      // A version that does not exist is refused as that of another program.
+      EXPECT_THAT(status.code(), AnyOf(absl::StatusCode::kDataLoss,
+                                       absl::StatusCode::kFailedPrecondition));
+      EXPECT_THAT(status.ToString(), HasSubstr(path));
       return;
     }
     for (const bool raw : {false, true}) {
