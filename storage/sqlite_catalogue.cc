@@ -327,10 +327,13 @@ class SqliteCatalogue final : public Catalogue, private Connections {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Catalogue>> OpenSqliteCatalogue(
-    const std::string& path, IfAbsent if_absent) {
-  MAPSIEVE_ASSIGN_OR_RETURN(auto writer, SqliteDatabase::Open(path));
+    FileSystem& file_system, const std::string& path, IfAbsent if_absent) {
+  MAPSIEVE_RETURN_IF_ERROR(SqliteDatabase::SecureLog(file_system, path));
+  MAPSIEVE_ASSIGN_OR_RETURN(auto writer,
+                            SqliteDatabase::Open(file_system, path));
   MAPSIEVE_RETURN_IF_ERROR(PrepareSchema(*writer, if_absent));
-  MAPSIEVE_ASSIGN_OR_RETURN(auto reader, SqliteDatabase::Open(path));
+  MAPSIEVE_ASSIGN_OR_RETURN(auto reader,
+                            SqliteDatabase::Open(file_system, path));
   MAPSIEVE_RETURN_IF_ERROR(reader->Execute("PRAGMA query_only = ON"));
   return std::make_unique<SqliteCatalogue>(std::move(writer),
                                            std::move(reader));

@@ -6,6 +6,7 @@
 
 #include "absl/status/statusor.h"
 #include "storage/catalogue.h"
+#include "storage/file_system.h"
 
 namespace mapsieve::storage {
 
@@ -14,12 +15,12 @@ enum class IfAbsent { kCreate, kFail };
 
 /// Opens the catalogue in the SQLite database `path`; FORMAT.md describes its
 /// tables. The caller sees to it that one process at a time has it open, and
-/// syncs the directory after the file was made.
+/// syncs the directory after the file was made. `file_system` outlives it.
 /// kDataLoss: damaged, no SQLite database, or absent and `if_absent` is kFail;
 /// kFailedPrecondition: a database of another program or of a newer version of
 /// this one.
 absl::StatusOr<std::unique_ptr<Catalogue>> OpenSqliteCatalogue(
-    const std::string& path, IfAbsent if_absent);
+    FileSystem& file_system, const std::string& path, IfAbsent if_absent);
 
 }  // namespace mapsieve::storage
 

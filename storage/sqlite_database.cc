@@ -2,6 +2,7 @@
 
 #include <sqlite3.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <utility>
 
@@ -16,10 +17,19 @@ constexpr int kMaxValueBytes = 64 << 20;
 // Only another program that looks into the file can make us wait.
 constexpr int kBusyTimeoutMs = 10'000;
 
+// A log is read and written in pieces of this size.
+constexpr int64_t kLogPieceBytes = 1 << 20;
+
 bool IsDiskFull(int code, int system_error) {
   return code == SQLITE_FULL || code == SQLITE_IOERR_SHMSIZE ||
          ((code & 0xff) == SQLITE_IOERR &&
           (system_error == ENOSPC || system_error == EDQUOT));
+}
+
+// Whether SQLite passes on an error of a file.
+bool IsOfFiles(int code) {
+  const int kind = code & 0xff;
+  return kind == SQLITE_IOERR || kind == SQLITE_CANTOPEN || kind == SQLITE_FULL;
 }
 
 }  // namespace
@@ -166,19 +176,39 @@ SqliteStatement& SqliteStatement::TakeBlob(std::string& bytes) {
   return *this;
 }
 
+absl::Status SqliteDatabase::SecureLog(FileSystem& file_system,
+                                       const std::string& path) {
+  const std::string log_path = path + "-wal";
+  const auto log = file_system.Open(log_path, OpenMode::kReadWrite);
+  if (absl::IsNotFound(log.status())) return absl::OkStatus();
+  MAPSIEVE_RETURN_IF_ERROR(log.status());
+  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size, (*log)->Size());
+  for (int64_t at = 0; at < size; at += kLogPieceBytes) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const auto bytes,
+        ReadExactly(**log, log_path, at, std::min(kLogPieceBytes, size - at)));
+    MAPSIEVE_RETURN_IF_ERROR((*log)->WriteAt(at, bytes));
+  }
+  return (*log)->Sync();
+}
+
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
-    const std::string& path) {
+    FileSystem& file_system, const std::string& path) {
+  auto vfs = std::make_unique<SqliteVfs>(file_system);
   sqlite3* handle = nullptr;
-  const int code =
-      sqlite3_open_v2(path.c_str(), &handle,
-                      SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE |
-                          SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE,
-                      nullptr);
+  int code = SQLITE_NOMEM;
+  if (vfs->name() != nullptr) {
+    code = sqlite3_open_v2(path.c_str(), &handle,
+                           SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE |
+                               SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE,
+                           vfs->name());
+  }
   if (handle == nullptr) {
     return absl::ResourceExhaustedError(
         absl::StrCat(path, ": no memory to open it"));
   }
-  std::unique_ptr<SqliteDatabase> database(new SqliteDatabase(path, handle));
+  std::unique_ptr<SqliteDatabase> database(
+      new SqliteDatabase(path, std::move(vfs), handle));
   if (code != SQLITE_OK) return database->StatusOf(code);
   sqlite3_busy_timeout(handle, kBusyTimeoutMs);
   sqlite3_limit(handle, SQLITE_LIMIT_LENGTH, kMaxValueBytes);
@@ -187,9 +217,9 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
   sqlite3_db_config(handle, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
   // The last one: a log that a large transaction made long is cut to 16 MiB.
   for (const char* pragma :
-       {"PRAGMA mmap_size = 0", "PRAGMA synchronous = FULL",
-        "PRAGMA foreign_keys = ON", "PRAGMA cell_size_check = ON",
-        "PRAGMA temp_store = MEMORY", "PRAGMA journal_size_limit = 16777216"}) {
+       {"PRAGMA synchronous = FULL", "PRAGMA foreign_keys = ON",
+        "PRAGMA cell_size_check = ON", "PRAGMA temp_store = MEMORY",
+        "PRAGMA journal_size_limit = 16777216"}) {
     MAPSIEVE_RETURN_IF_ERROR(database->Execute(pragma));
   }
   MAPSIEVE_RETURN_IF_ERROR(database->UseWriteAheadLog());
@@ -203,6 +233,8 @@ absl::Status SqliteDatabase::UseWriteAheadLog() {
   std::string mode;
   if (row) query.Take(mode);
   MAPSIEVE_RETURN_IF_ERROR(query.status());
+  // The mode is written at the end of the statement, after its row.
+  MAPSIEVE_RETURN_IF_ERROR(query.Step().status());
   if (mode == "wal") return absl::OkStatus();
   return absl::FailedPreconditionError(
       absl::StrCat(path_, ": this file system cannot hold a write-ahead log (",
@@ -215,11 +247,15 @@ SqliteDatabase::~SqliteDatabase() {
 }
 
 absl::Status SqliteDatabase::StatusOf(int code) const {
-  const int system_error = sqlite3_system_errno(handle_);
+  const absl::Status& failure = vfs_->last_failure();
+  // That of SQLite's own calls, not of those of our files.
+  const int system_error = failure.ok() ? sqlite3_system_errno(handle_) : 0;
   const std::string message =
       absl::StrCat(path_, ": ", sqlite3_errmsg(handle_), " (SQLite ", code,
                    system_error == 0 ? "" : ", system error ",
-                   system_error == 0 ? "" : absl::StrCat(system_error), ")");
+                   system_error == 0 ? "" : absl::StrCat(system_error), ")",
+                   IsOfFiles(code) && !failure.ok() ? "; " : "",
+                   IsOfFiles(code) ? failure.message() : "");
   if (IsDiskFull(code, system_error)) {
     return absl::ResourceExhaustedError(
         absl::StrCat(message, "; free some space"));
@@ -227,6 +263,8 @@ absl::Status SqliteDatabase::StatusOf(int code) const {
   switch (code & 0xff) {
     case SQLITE_CORRUPT:
     case SQLITE_NOTADB:
+    // Our statements fit the tables that we made.
+    case SQLITE_ERROR:
       return absl::DataLossError(
           absl::StrCat(message, "; restore the data directory from a backup"));
     case SQLITE_IOERR:

@@ -15,6 +15,8 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
+#include "storage/file_system.h"
+#include "storage/sqlite_vfs.h"
 
 struct sqlite3;
 struct sqlite3_stmt;
@@ -124,9 +126,17 @@ class SqliteStatement {
 class SqliteDatabase {
  public:
   /// Opens `path`, which is made if absent, with a write-ahead log, full
-  /// syncs, foreign keys, and no mapping of files into memory.
+  /// syncs, foreign keys, and no mapping of files into memory. `file_system`
+  /// outlives the object.
   static absl::StatusOr<std::unique_ptr<SqliteDatabase>> Open(
-      const std::string& path);
+      FileSystem& file_system, const std::string& path);
+  /// Makes durable what the log of the database `path` holds, if there is one;
+  /// no connection is open. A process that died may have written a commit and
+  /// not synced it, and after a failed sync the system may even show bytes that
+  /// it will never write: so all is written once more, and synced.
+  static absl::Status SecureLog(FileSystem& file_system,
+                                const std::string& path);
+
   ~SqliteDatabase();
   SqliteDatabase(const SqliteDatabase&) = delete;
   SqliteDatabase& operator=(const SqliteDatabase&) = delete;
@@ -150,13 +160,15 @@ class SqliteDatabase {
  private:
   friend class SqliteStatement;
   friend class SqliteTransaction;
-  SqliteDatabase(std::string path, sqlite3* handle)
-      : path_(std::move(path)), handle_(handle) {}
+  SqliteDatabase(std::string path, std::unique_ptr<SqliteVfs> vfs,
+                 sqlite3* handle)
+      : path_(std::move(path)), vfs_(std::move(vfs)), handle_(handle) {}
   absl::Status UseWriteAheadLog();
   /// The status of SQLite's result `code`.
   absl::Status StatusOf(int code) const;
 
   const std::string path_;
+  const std::unique_ptr<SqliteVfs> vfs_;
   sqlite3* const handle_;
   std::unordered_map<std::string, sqlite3_stmt*> statements_;
 };

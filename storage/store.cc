@@ -169,7 +169,7 @@ absl::Status Store::OpenParts() {
   MAPSIEVE_ASSIGN_OR_RETURN(const bool holds_blobs, HoldsBlobs());
   MAPSIEVE_ASSIGN_OR_RETURN(
       catalogue_,
-      OpenSqliteCatalogue(JoinPath(directory_, kCatalogueFile),
+      OpenSqliteCatalogue(file_system_, JoinPath(directory_, kCatalogueFile),
                           holds_blobs ? IfAbsent::kFail : IfAbsent::kCreate));
   MAPSIEVE_RETURN_IF_ERROR(file_system_.SyncDirectory(directory_));
   MAPSIEVE_ASSIGN_OR_RETURN(

@@ -11,7 +11,6 @@
 #include "server/engine/job_manager.h"
 #include "server/engine/revision_report.h"
 #include "tests/engine/engine_testing.h"
-#include "tests/testing/fault_file_system.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::engine::testing {
@@ -273,39 +272,6 @@ TEST(DeleteRegion, RefusesWhatIsNoRegionOrNoMap) {
   EXPECT_THAT(
       service->FinalizeUpload("map", "u", Box{{1, 1, 1}, {0, 2, 2}}),
       StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("box.min.x")));
-}
-
-// Whatever file operation fails, the map has all of the points or the rest.
-TEST(DeleteRegion, FailingFileOperationsLeaveOldOrNew) {
-  mapsieve::testing::FaultFileSystem file_system(storage::PosixFileSystem());
-  Service service;
-  service.options().file_system = &file_system;
-  service.Reopen();
-  const LatticeCloud scene = Split(MakeScene(57), 8)[0];
-  const LatticeCloud rest = Without(scene, kBox);
-  int failures = 0;
-  bool fired = true;
-  for (int64_t operation = 1; fired; ++operation) {
-    ASSERT_LT(operation, 1000);
-    const std::string map = absl::StrCat("map-", operation);
-    MAPSIEVE_ASSERT_OK(service->CreateMap({.map_id = map}));
-    MAPSIEVE_ASSERT_OK(service.Upload(map, "scan", scene));
-    file_system.Arm({.operation = operation,
-                     .status = absl::UnavailableError("the disk is gone")});
-    const auto attempt = service.Delete(map, kBox);
-    fired = file_system.fired();
-    file_system.Disarm();
-    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer raw,
-                                  service.Query({.map_id = map, .raw = true}));
-    if (attempt.ok()) {
-      EXPECT_EQ(raw.points.size(), rest.size());
-      continue;
-    }
-    ++failures;
-    EXPECT_EQ(raw.points.size(), scene.size());
-    EXPECT_EQ(service->GetMap(map)->revision, 2);
-  }
-  EXPECT_GT(failures, 2);
 }
 
 TEST(ReplaceRegion, IsOneRevisionAndThenAMapOfTheResult) {

@@ -299,11 +299,15 @@ Service::Service(int worker_count)
   Reopen();
 }
 
+absl::Status Service::Open() {
+  Close();
+  MAPSIEVE_ASSIGN_OR_RETURN(engine_, Engine::Open(options_));
+  return absl::OkStatus();
+}
+
 void Service::Reopen() {
-  engine_.reset();
-  auto engine = Engine::Open(options_);
-  EXPECT_TRUE(engine.ok()) << engine.status();
-  if (engine.ok()) engine_ = *std::move(engine);
+  const absl::Status status = Open();
+  EXPECT_TRUE(status.ok()) << status;
 }
 
 absl::Status Service::Stage(const std::string& map_id,

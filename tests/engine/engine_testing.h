@@ -131,8 +131,12 @@ class Service {
   Engine* operator->() { return engine_.get(); }
   const std::string& path() const { return dir_.path(); }
   EngineOptions& options() { return options_; }
+  const EngineOptions& options() const { return options_; }
   /// Closes the engine, if it is open, and opens it.
+  absl::Status Open();
+  /// Open, which succeeds.
   void Reopen();
+  void Close() { engine_.reset(); }
 
   /// Opens an upload and writes and commits its bytes.
   absl::Status Stage(const std::string& map_id, const std::string& upload_id,

@@ -419,42 +419,5 @@ TEST(Uploads, FullDiskFailsTheOperationAndTheNextAttemptGoesThrough) {
   EXPECT_EQ(answer.points.size(), scene.size());
 }
 
-// Whatever file operation fails, the map is as before or has all points. A map
-// for each: the garbage of the last failure is collected in the background and
-// may meet the fault instead.
-TEST(Uploads, FailingFileOperationsLeaveOldOrNew) {
-  mapsieve::testing::FaultFileSystem file_system(storage::PosixFileSystem());
-  Service service;
-  service.options().file_system = &file_system;
-  service.Reopen();
-  const LatticeCloud scene = Split(MakeScene(38), 8)[0];
-  int failures = 0;
-  bool fired = true;
-  for (int64_t operation = 1; fired; ++operation) {
-    ASSERT_LT(operation, 1000);
-    const std::string map = absl::StrCat("map-", operation);
-    MAPSIEVE_ASSERT_OK(service->CreateMap({.map_id = map}));
-    MAPSIEVE_ASSERT_OK(service.Stage(map, "scan", MakeUpload(scene)));
-    file_system.Arm({.operation = operation,
-                     .status = absl::UnavailableError("the disk is gone")});
-    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Operation attempt,
-                                  service.Finalize(map, "scan"));
-    fired = file_system.fired();
-    file_system.Disarm();
-    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer,
-                                  service.Query({.map_id = map, .raw = true}));
-    if (attempt.error.ok()) {
-      EXPECT_EQ(answer.points.size(), scene.size());
-      continue;
-    }
-    ++failures;
-    EXPECT_THAT(attempt.error,
-                StatusIs(absl::StatusCode::kUnavailable, HasSubstr("")));
-    EXPECT_EQ(answer.points.size(), 0U);
-    EXPECT_EQ(service->GetMap(map)->revision, 1);
-  }
-  EXPECT_GT(failures, 3);
-}
-
 }  // namespace
 }  // namespace mapsieve::engine::testing

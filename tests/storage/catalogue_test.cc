@@ -25,6 +25,7 @@ INSTANTIATE_TEST_SUITE_P(
     ::testing::Values(CatalogueImplementation{"Sqlite",
                                               [](const std::string& directory) {
                                                 return OpenSqliteCatalogue(
+                                                    PosixFileSystem(),
                                                     directory + "/catalogue.db",
                                                     IfAbsent::kCreate);
                                               }}),

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <random>
 
 #include "core/base/status.h"
 
@@ -11,6 +12,7 @@ namespace mapsieve::testing {
 namespace {
 
 constexpr char kGarbage = '\xa5';
+constexpr size_t kSectorBytes = 512;
 
 std::string ReadAll(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
@@ -42,24 +44,42 @@ class FaultFileSystem::FaultFile final : public storage::File {
                        std::span<const std::byte> bytes) override {
     const Verdict verdict = owner_.Judge("write");
     const size_t size = verdict.perform ? bytes.size() : bytes.size() / 2;
+    {
+      MutexLock lock(owner_.mutex_);
+      node_->Change(offset, offset + static_cast<int64_t>(size));
+    }
     MAPSIEVE_RETURN_IF_ERROR(base_->WriteAt(offset, bytes.first(size)));
     return verdict.status;
   }
   absl::Status Truncate(int64_t size) override {
-    return owner_.Perform("truncate", [&] { return base_->Truncate(size); });
+    return owner_.Perform("truncate", [&]() -> absl::Status {
+      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t before, base_->Size());
+      {
+        MutexLock lock(owner_.mutex_);
+        node_->Change(std::min(before, size), std::max(before, size));
+      }
+      return base_->Truncate(size);
+    });
   }
   absl::Status Sync() override {
     if (!sync_failure_.ok()) return sync_failure_;
-    sync_failure_ = owner_.Perform("sync", [&]() -> absl::Status {
-      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size, base_->Size());
-      std::string content(static_cast<size_t>(size), '\0');
+    const Verdict verdict = owner_.Judge("sync");
+    sync_failure_ = verdict.status;
+    MutexLock lock(owner_.mutex_);
+    const int64_t begin = std::exchange(node_->changed_begin,
+                                        std::numeric_limits<int64_t>::max());
+    const int64_t end = std::exchange(node_->changed_end, 0);
+    if (!verdict.perform) return sync_failure_;
+    MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size, base_->Size());
+    std::string& synced = node_->synced;
+    synced.resize(static_cast<size_t>(size));
+    if (begin < std::min(end, size)) {
+      const auto changed = std::span(synced).subspan(
+          static_cast<size_t>(begin),
+          static_cast<size_t>(std::min(end, size) - begin));
       MAPSIEVE_RETURN_IF_ERROR(
-          base_->ReadAt(0, std::as_writable_bytes(std::span(content)))
-              .status());
-      MutexLock lock(owner_.mutex_);
-      node_->synced = std::move(content);
-      return absl::OkStatus();
-    });
+          base_->ReadAt(begin, std::as_writable_bytes(changed)).status());
+    }
     return sync_failure_;
   }
   absl::StatusOr<int64_t> Size() const override {
@@ -78,6 +98,7 @@ void FaultFileSystem::Arm(const Fault& fault) {
   MutexLock lock(mutex_);
   fault_ = fault;
   fired_ = false;
+  fault_kind_.clear();
 }
 
 void FaultFileSystem::Disarm() {
@@ -88,6 +109,11 @@ void FaultFileSystem::Disarm() {
 bool FaultFileSystem::fired() const {
   MutexLock lock(mutex_);
   return fired_;
+}
+
+std::string FaultFileSystem::fault_kind() const {
+  MutexLock lock(mutex_);
+  return fault_kind_;
 }
 
 int64_t FaultFileSystem::call_count(const std::string& kind) const {
@@ -106,6 +132,7 @@ FaultFileSystem::Verdict FaultFileSystem::Judge(const char* kind) {
   ++calls_[kind];
   if (!fault_.has_value() || --fault_->operation > 0) return {};
   if (fault_->operation < 0 && !fault_->lasts) return {};
+  if (!fired_) fault_kind_ = kind;
   fired_ = true;
   return {fault_->status, fault_->takes_effect};
 }
@@ -122,7 +149,7 @@ std::shared_ptr<FaultFileSystem::Node> FaultFileSystem::NodeOf(
     const std::string& path) {
   auto& node = names_[path];
   if (node == nullptr) {
-    node = std::make_shared<Node>(Node{ReadAll(path)});
+    node = std::make_shared<Node>(Node{.synced = ReadAll(path)});
     durable_names_[path] = node;
   }
   return node;
@@ -234,11 +261,19 @@ absl::StatusOr<std::unique_ptr<storage::FileLock>> FaultFileSystem::Lock(
 
 void FaultFileSystem::LosePower(Loss loss) {
   MutexLock lock(mutex_);
-  if (loss == Loss::kContent) {
+  if (loss != Loss::kEverything) {
+    std::mt19937_64 random(names_.size());
     for (const auto& [path, node] : names_) {
-      const size_t size = ReadAll(path).size();
-      node->synced.resize(size, kGarbage);
-      WriteAll(path, node->synced);
+      const std::string written = ReadAll(path);
+      std::string& synced = node->synced;
+      synced.resize(written.size(), kGarbage);
+      if (loss == Loss::kSomeContent) {
+        for (size_t at = 0; at < written.size(); at += kSectorBytes) {
+          if (random() % 2 == 0) continue;
+          synced.replace(at, kSectorBytes, written, at, kSectorBytes);
+        }
+      }
+      WriteAll(path, synced);
     }
   } else {
     for (const auto& [path, node] : names_) {
@@ -250,6 +285,7 @@ void FaultFileSystem::LosePower(Loss loss) {
     names_ = durable_names_;
   }
   durable_names_ = names_;
+  for (const auto& [path, node] : names_) *node = {.synced = node->synced};
 }
 
 }  // namespace mapsieve::testing

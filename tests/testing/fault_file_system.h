@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_TESTS_TESTING_FAULT_FILE_SYSTEM_H_
 #define MAPSIEVE_TESTS_TESTING_FAULT_FILE_SYSTEM_H_
 
+#include <algorithm>
 #include <cstdint>
 #include <limits>
 #include <map>
@@ -29,14 +30,17 @@ class FaultFileSystem final : public storage::FileSystem {
     absl::Status status;
     /// All later ones fail too.
     bool lasts = false;
-    /// It is done all the same; otherwise a write is half done, and nothing
-    /// else is done at all.
+    /// It is done all the same; otherwise a write is half done, nothing else is
+    /// done at all, and what a sync was for stays unsynced whatever syncs the
+    /// file later, as systems have it.
     bool takes_effect = false;
   };
   void Arm(const Fault& fault);
   void Disarm();
   /// Whether the armed fault came to pass.
   bool fired() const;
+  /// Kind of the call that the fault met first; "" before.
+  std::string fault_kind() const;
   /// Calls so far, of one kind: "open", "write", "sync", "rename", …
   int64_t call_count(const std::string& kind) const;
 
@@ -48,6 +52,9 @@ class FaultFileSystem final : public storage::FileSystem {
     kEverything,
     /// Names survive, and sizes; bytes that were not synced are garbage.
     kContent,
+    /// Names survive, and sizes; of what was not synced, every 512 bytes
+    /// survive or not.
+    kSomeContent,
   };
   /// What a power failure leaves behind. Files must be closed.
   void LosePower(Loss loss);
@@ -73,6 +80,14 @@ class FaultFileSystem final : public storage::FileSystem {
   // A file, whatever its name.
   struct Node {
     std::string synced;
+    // What may differ from it.
+    int64_t changed_begin = std::numeric_limits<int64_t>::max();
+    int64_t changed_end = 0;
+
+    void Change(int64_t begin, int64_t end) {
+      changed_begin = std::min(changed_begin, begin);
+      changed_end = std::max(changed_end, end);
+    }
   };
   using Names = std::map<std::string, std::shared_ptr<Node>>;
 
@@ -93,6 +108,7 @@ class FaultFileSystem final : public storage::FileSystem {
   mutable Mutex mutex_;
   std::optional<Fault> fault_ ABSL_GUARDED_BY(mutex_);
   bool fired_ ABSL_GUARDED_BY(mutex_) = false;
+  std::string fault_kind_ ABSL_GUARDED_BY(mutex_);
   std::map<std::string, int64_t> calls_ ABSL_GUARDED_BY(mutex_);
   std::optional<int64_t> free_bytes_ ABSL_GUARDED_BY(mutex_);
   Names names_ ABSL_GUARDED_BY(mutex_);
