@@ -11,6 +11,17 @@
 #include "core/geometry/morton.h"
 
 namespace mapsieve::engine {
+namespace {
+
+bool IsInMortonOrder(std::span<const core::LatticePoint> points) {
+  return std::is_sorted(
+      points.begin(), points.end(),
+      [](const core::LatticePoint& a, const core::LatticePoint& b) {
+        return core::MortonLess(a, b);
+      });
+}
+
+}  // namespace
 
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
@@ -28,7 +39,8 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
     return Annotate(status, absl::StrCat("blob ", chunk.blob_id, " of tile ",
                                          chunk.tile.ToString()));
   }
-  return points;
+  if (IsInMortonOrder(points->positions)) return points;
+  return points->Select(core::MortonOrder(points->positions));
 }
 
 absl::StatusOr<core::LatticeCloud> ReadPoints(
@@ -72,11 +84,6 @@ absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
         ReadPoints(snapshot, chunk,
                    {.attributes = std::vector<std::string>()}));
     std::vector<core::LatticePoint>& part = cloud.positions;
-    if (!std::is_sorted(part.begin(), part.end(), less)) {
-      return absl::DataLossError(
-          absl::StrCat("blob ", chunk.blob_id, " of tile ", tile.ToString(),
-                       ": its points are not in Morton order"));
-    }
     if (points.empty()) {
       points = std::move(part);
       continue;
