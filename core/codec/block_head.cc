@@ -15,7 +15,7 @@ namespace mapsieve::core {
 namespace {
 
 constexpr uint32_t kMagic = 0x4250534d;  // "MSPB"
-constexpr uint16_t kVersion = 1;
+constexpr uint16_t kVersion = 2;
 // Bytes of the fields before the column entries, of an entry without its name
 // and of the checksum that ends the head.
 constexpr uint32_t kFixedBytes = 104;
@@ -79,15 +79,27 @@ absl::Status CheckBounds(const BlockHead& head) {
   return absl::OkStatus();
 }
 
-absl::Status CheckEntry(const ColumnEntry& entry, uint32_t point_count) {
+/// The largest number of a transform in blocks of `version`.
+Transform LastTransform(uint16_t version) {
+  return version == 1 ? Transform::kAscendingPacked : kTransforms.back();
+}
+
+absl::Status CheckEntry(const ColumnEntry& entry, uint16_t version,
+                        uint32_t point_count) {
   const size_t width = ScalarSize(entry.spec.type);
   if (width == 0) {
     return absl::DataLossError(absl::StrCat("expected a type of 1 to 10, have ",
                                             static_cast<int>(entry.spec.type)));
   }
-  if (TransformName(entry.transform).empty()) {
+  if (entry.transform > LastTransform(version)) {
     return absl::DataLossError(
-        absl::StrCat("expected a transform of 0 to 4, have ",
+        absl::StrCat("expected a transform of 0 to ",
+                     static_cast<int>(LastTransform(version)), " in version ",
+                     version, ", have ", static_cast<int>(entry.transform)));
+  }
+  if (!SuitsWidth(entry.transform, width)) {
+    return absl::DataLossError(
+        absl::StrCat("expected a type of at least 2 bytes for transform ",
                      static_cast<int>(entry.transform)));
   }
   if (CompressionName(entry.compression).empty()) {
@@ -116,7 +128,7 @@ absl::Status CheckEntry(const ColumnEntry& entry, uint32_t point_count) {
   return absl::OkStatus();
 }
 
-absl::StatusOr<ColumnEntry> TakeEntry(ByteReader& reader,
+absl::StatusOr<ColumnEntry> TakeEntry(ByteReader& reader, uint16_t version,
                                       uint32_t point_count) {
   ColumnEntry entry;
   MAPSIEVE_ASSIGN_OR_RETURN(entry.spec.type, reader.Take<ScalarType>("type"));
@@ -139,7 +151,7 @@ absl::StatusOr<ColumnEntry> TakeEntry(ByteReader& reader,
   MAPSIEVE_RETURN_IF_ERROR(CheckRange("flags", 0, kMissingFlag, flags));
   entry.has_missing = flags == kMissingFlag;
   MAPSIEVE_RETURN_IF_ERROR(Annotate(
-      CheckEntry(entry, point_count),
+      CheckEntry(entry, version, point_count),
       absl::StrCat("point block, column ", QuotedName(entry.spec.name))));
   return entry;
 }
@@ -234,9 +246,9 @@ absl::StatusOr<int64_t> ReadBlockLength(std::span<const std::byte> prefix) {
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const auto version,
                             reader.Take<uint16_t>("version"));
-  if (version != kVersion) {
+  if (version < 1 || version > kVersion) {
     return absl::DataLossError(
-        absl::StrCat("point block, offset 4: expected version ", kVersion,
+        absl::StrCat("point block, offset 4: expected version 1 to ", kVersion,
                      ", have ", version, "; a newer mapsieve may read it"));
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const auto columns,
@@ -264,6 +276,7 @@ absl::StatusOr<BlockHead> ReadBlockHead(std::span<const std::byte> bytes) {
   MAPSIEVE_RETURN_IF_ERROR(need(kFixedBytes));
   BlockHead head;
   head.block_bytes = static_cast<uint64_t>(block_bytes);
+  const auto version = LoadLittleEndian<uint16_t>(bytes.data() + 4);
   const auto column_count = LoadLittleEndian<uint16_t>(bytes.data() + 6);
   head.head_bytes = LoadLittleEndian<uint32_t>(bytes.data() + 16);
   MAPSIEVE_RETURN_IF_ERROR(CheckRange(
@@ -296,7 +309,7 @@ absl::StatusOr<BlockHead> ReadBlockHead(std::span<const std::byte> bytes) {
   MAPSIEVE_RETURN_IF_ERROR(CheckBounds(head));
   for (size_t i = 0; i < column_count; ++i) {
     MAPSIEVE_ASSIGN_OR_RETURN(ColumnEntry entry,
-                              TakeEntry(reader, head.point_count));
+                              TakeEntry(reader, version, head.point_count));
     head.columns.push_back(std::move(entry));
   }
   if (reader.remaining() != 0) {

@@ -63,7 +63,7 @@ struct EncodedColumn {
 
 /// A column of up to kSampleRuns * kRunValues values is its own sample.
 constexpr size_t kSampleRuns = 8;
-constexpr size_t kRunValues = 1024;
+constexpr size_t kRunValues = 512;
 
 /// Runs of values spread evenly over the column.
 std::vector<std::byte> Sample(std::span<const std::byte> values, size_t width) {
@@ -81,24 +81,50 @@ std::vector<std::byte> Sample(std::span<const std::byte> values, size_t width) {
   return sample;
 }
 
+/// Whether all values have the same bytes.
+bool IsConstant(std::span<const std::byte> values, size_t width) {
+  return values.size() <= width ||
+         std::memcmp(values.data(), values.data() + width,
+                     values.size() - width) == 0;
+}
+
 /// The transform that makes a sample of the values smallest.
 Transform ChooseTransform(std::span<const std::byte> values, size_t width,
                           Compression compression) {
+  if (IsConstant(values, width)) return Transform::kPlain;
   const std::vector<std::byte> sample = Sample(values, width);
   Transform best = Transform::kPlain;
   size_t best_size = std::numeric_limits<size_t>::max();
-  for (const Transform transform :
-       {Transform::kPlain, Transform::kShuffle, Transform::kDeltaShuffle,
-        Transform::kDeltaPacked, Transform::kAscendingPacked}) {
-    if (transform == Transform::kShuffle && width == 1) continue;
-    std::vector<std::byte> coded;
+  const auto consider = [&](Transform transform, size_t size) {
+    if (size >= best_size) return;
+    best = transform;
+    best_size = size;
+  };
+  std::vector<std::byte> coded;
+  const auto compressed_size = [&](Transform transform) {
+    coded.clear();
     AppendTransformed(transform, sample, width, coded);
     const std::vector<std::byte> compressed = Compress(compression, coded);
     const size_t size = compressed.empty() ? coded.size() : compressed.size();
-    if (size < best_size) {
-      best_size = size;
-      best = transform;
-    }
+    consider(transform, size);
+    return size;
+  };
+  for (const Transform transform : kTransforms) {
+    if (!IsCoded(transform) || !SuitsWidth(transform, width)) continue;
+    consider(transform,
+             static_cast<size_t>(CodedBytes(transform, sample, width)));
+  }
+  size_t repetitive_size = compressed_size(Transform::kPlain);
+  for (const Transform transform :
+       {Transform::kShuffle, Transform::kDeltaShuffle}) {
+    if (transform == Transform::kShuffle && width == 1) continue;
+    repetitive_size = std::min(repetitive_size, compressed_size(transform));
+  }
+  // Packed values are better than coded ones where there is much for a
+  // compressor to find.
+  if (repetitive_size <= best_size + best_size / 4) {
+    compressed_size(Transform::kDeltaPacked);
+    compressed_size(Transform::kAscendingPacked);
   }
   return best;
 }
@@ -126,7 +152,7 @@ EncodedColumn EncodeColumn(ColumnSpec spec, std::span<const std::byte> values,
   AppendTransformed(transform, values, ScalarSize(column.entry.spec.type),
                     coded);
   column.entry.coded_bytes = static_cast<uint32_t>(coded.size());
-  column.stored = Compress(compression, coded);
+  if (!IsCoded(transform)) column.stored = Compress(compression, coded);
   if (column.stored.empty()) {
     column.stored = std::move(coded);
   } else {
@@ -211,7 +237,7 @@ void EncodePositions(std::span<const LatticePoint> positions,
     if (const auto codes = MortonCodes(positions, max, head.corner)) {
       columns.push_back(EncodeColumn(
           {std::string(kMortonName), ScalarType::kUint64}, AsBytes(*codes), {},
-          Transform::kAscendingPacked, compression));
+          Transform::kAscendingCoded, compression));
       return;
     }
   }

@@ -6,10 +6,11 @@
 #include <concepts>
 #include <cstring>
 #include <limits>
-#include <optional>
+#include <type_traits>
 
 #include "core/base/bytes.h"
 #include "core/base/status.h"
+#include "core/codec/token_code.h"
 
 namespace mapsieve::core {
 namespace {
@@ -52,18 +53,103 @@ U UnZigZag(U value) {
   return static_cast<U>((value >> 1) ^ static_cast<U>(U{0} - (value & 1)));
 }
 
-/// Differences modulo 2^bits; the first is that to zero.
+/// Of three differences, as signed numbers.
 template <std::unsigned_integral U>
-std::vector<U> Differences(std::span<const std::byte> values, bool zigzag) {
+U Median(U a, U b, U c) {
+  using Signed = std::make_signed_t<U>;
+  const auto x = static_cast<Signed>(a);
+  const auto y = static_cast<Signed>(b);
+  const auto z = static_cast<Signed>(c);
+  return static_cast<U>(std::max(std::min(x, y), std::min(std::max(x, y), z)));
+}
+
+/// The numbers that a transform codes or shuffles, one after the other, and
+/// back. Sums and differences are modulo 2^bits.
+template <Transform transform, std::unsigned_integral U>
+class Residuals {
+ public:
+  U Of(U value) {
+    if constexpr (transform == Transform::kCoded) return value;
+    const U difference = static_cast<U>(value - value_);
+    const U residual = static_cast<U>(difference - Expected());
+    Advance(value, difference);
+    return kZigZag ? ZigZag(residual) : residual;
+  }
+  U ValueOf(U coded) {
+    if constexpr (transform == Transform::kCoded) return coded;
+    const U residual = kZigZag ? UnZigZag(coded) : coded;
+    const U difference = static_cast<U>(residual + Expected());
+    const U value = static_cast<U>(value_ + difference);
+    Advance(value, difference);
+    return value;
+  }
+
+ private:
+  static constexpr bool kZigZag = transform != Transform::kAscendingCoded &&
+                                  transform != Transform::kAscendingPacked;
+  static constexpr bool kMedian = transform == Transform::kMedianCoded;
+  static constexpr bool kHalves = transform == Transform::kHalvesCoded;
+
+  U Expected() const {
+    return kMedian ? Median(before_[0], before_[1], before_[2]) : U{0};
+  }
+  void Advance(U value, U difference) {
+    if constexpr (kHalves) {
+      value_ = other_;
+      other_ = value;
+    } else {
+      value_ = value;
+    }
+    if constexpr (kMedian) before_ = {difference, before_[0], before_[1]};
+  }
+
+  /// The value that the next one is compared with.
+  U value_ = 0;
+  /// The last half.
+  U other_ = 0;
+  /// The last differences, the latest first.
+  std::array<U, 3> before_{};
+};
+
+template <Transform transform, std::unsigned_integral U>
+std::vector<U> ResidualsOf(std::span<const std::byte> values) {
   std::vector<U> result(values.size() / sizeof(U));
-  U previous = 0;
+  Residuals<transform, U> residuals;
   for (size_t i = 0; i < result.size(); ++i) {
-    const U value = Load<U>(values.data(), i);
-    const U difference = static_cast<U>(value - previous);
-    result[i] = zigzag ? ZigZag(difference) : difference;
-    previous = value;
+    result[i] = residuals.Of(Load<U>(values.data(), i));
   }
   return result;
+}
+
+/// Calls f(std::integral_constant of the transform) for those of residuals.
+template <typename F>
+auto VisitResiduals(Transform transform, F&& f) {
+  const auto call = [&]<Transform kind>() {
+    return f(std::integral_constant<Transform, kind>());
+  };
+  switch (transform) {
+    case Transform::kDeltaShuffle:
+      return call.template operator()<Transform::kDeltaShuffle>();
+    case Transform::kDeltaPacked:
+      return call.template operator()<Transform::kDeltaPacked>();
+    case Transform::kAscendingPacked:
+      return call.template operator()<Transform::kAscendingPacked>();
+    case Transform::kDeltaCoded:
+      return call.template operator()<Transform::kDeltaCoded>();
+    case Transform::kAscendingCoded:
+      return call.template operator()<Transform::kAscendingCoded>();
+    case Transform::kMedianCoded:
+      return call.template operator()<Transform::kMedianCoded>();
+    case Transform::kHalvesCoded:
+      return call.template operator()<Transform::kHalvesCoded>();
+    default:
+      return call.template operator()<Transform::kCoded>();
+  }
+}
+
+/// Bytes of the numbers that a transform of values of `width` bytes codes.
+constexpr size_t CodedWidth(Transform transform, size_t width) {
+  return transform == Transform::kHalvesCoded ? width / 2 : width;
 }
 
 template <std::unsigned_integral U>
@@ -87,9 +173,9 @@ U LoadShuffled(const std::byte* planes, size_t count, size_t i) {
   return value;
 }
 
-// The packed form: 16 upper bit lengths, one class number of 4 bits a value,
-// then the bits of the values. A class covers the lengths above those of the
-// class before it up to its own upper one.
+// The packed form: 16 upper bit lengths, one class number of 4
+// bits a value, then the bits of the values. A class covers the lengths above
+// those of the class before it up to its own upper one.
 
 constexpr size_t kClassCount = 16;
 constexpr int kMaxLength = 64;
@@ -234,10 +320,9 @@ inline uint64_t LoadBits(const std::byte* bytes, uint64_t at, unsigned width) {
   return width < 64 ? value & ((uint64_t{1} << width) - 1) : value;
 }
 
-template <std::unsigned_integral U>
-absl::Status Unpack(std::span<const std::byte> coded, bool zigzag,
-                    std::span<std::byte> values) {
-  const size_t count = values.size() / sizeof(U);
+template <std::unsigned_integral U, typename Use>
+absl::Status Unpack(std::span<const std::byte> coded, size_t count,
+                    const Use& use) {
   const size_t control_bytes = (count + 1) / 2;
   if (coded.size() < kClassCount + control_bytes) {
     return PackedError("bytes at least", kClassCount + control_bytes,
@@ -280,18 +365,13 @@ absl::Status Unpack(std::span<const std::byte> coded, bool zigzag,
     return absl::DataLossError("packed values: the last bits are not zero");
   }
 
-  U value = 0;
   uint64_t at = 0;
   const auto unpack_from = [&](const std::byte* bytes, size_t i) {
     const size_t c =
         (static_cast<size_t>(control[i / 2]) >> (4 * (i % 2))) & 0xf;
     const unsigned width = classes.width[c];
-    const U coded_value =
-        static_cast<U>(classes.base[c] + LoadBits(bytes, at, width));
+    use(i, static_cast<U>(classes.base[c] + LoadBits(bytes, at, width)));
     at += width;
-    value =
-        static_cast<U>(value + (zigzag ? UnZigZag(coded_value) : coded_value));
-    Store(values.data(), i, value);
   };
   size_t i = 0;
   // Nine bytes are readable below this bit.
@@ -327,6 +407,16 @@ std::string_view TransformName(Transform transform) {
       return "delta-packed";
     case Transform::kAscendingPacked:
       return "ascending-packed";
+    case Transform::kCoded:
+      return "coded";
+    case Transform::kDeltaCoded:
+      return "delta-coded";
+    case Transform::kAscendingCoded:
+      return "ascending-coded";
+    case Transform::kMedianCoded:
+      return "median-coded";
+    case Transform::kHalvesCoded:
+      return "halves-coded";
   }
   return {};
 }
@@ -343,6 +433,14 @@ CodedSizeRange CodedSizes(Transform transform, uint64_t count, size_t width) {
       const uint64_t least = kClassCount + (count + 1) / 2;
       return {least, least + bytes};
     }
+    case Transform::kCoded:
+    case Transform::kDeltaCoded:
+    case Transform::kAscendingCoded:
+    case Transform::kMedianCoded:
+      // A code takes 11 bits at most, and what follows it 3 less than a value.
+      return {2, kMaxTokenHeadBytes + count * (width + 1)};
+    case Transform::kHalvesCoded:
+      return {2, kMaxTokenHeadBytes + count * (width + 2)};
   }
   return {bytes, bytes};
 }
@@ -353,31 +451,51 @@ void AppendTransformed(Transform transform, std::span<const std::byte> values,
     coded.insert(coded.end(), values.begin(), values.end());
     return;
   }
-  VisitWidth(width, [&](auto zero) {
+  VisitWidth(CodedWidth(transform, width), [&](auto zero) {
     using U = decltype(zero);
-    const size_t count = values.size() / sizeof(U);
-    if (transform == Transform::kShuffle ||
-        transform == Transform::kDeltaShuffle) {
+    const auto append_planes = [&](const std::byte* from) {
       const size_t at = coded.size();
       coded.resize(at + values.size());
-      if (transform == Transform::kShuffle) {
-        Shuffle<U>(values.data(), count, coded.data() + at);
-      } else {
-        const std::vector<U> differences = Differences<U>(values, true);
-        Shuffle<U>(AsBytes(differences).data(), count, coded.data() + at);
-      }
-    } else {
-      const std::vector<U> differences =
-          Differences<U>(values, transform == Transform::kDeltaPacked);
-      AppendPacked(std::span<const U>(differences), coded);
+      Shuffle<U>(from, values.size() / sizeof(U), coded.data() + at);
+    };
+    if (transform == Transform::kShuffle) {
+      append_planes(values.data());
+      return;
     }
+    VisitResiduals(transform, [&](auto kind) {
+      const std::vector<U> residuals = ResidualsOf<kind(), U>(values);
+      if constexpr (kind() == Transform::kDeltaShuffle) {
+        append_planes(AsBytes(residuals).data());
+      } else if constexpr (IsCoded(kind())) {
+        AppendTokenCoded(std::span<const U>(residuals), coded);
+      } else {
+        AppendPacked(std::span<const U>(residuals), coded);
+      }
+    });
+  });
+}
+
+uint64_t CodedBytes(Transform transform, std::span<const std::byte> values,
+                    size_t width) {
+  return VisitWidth(CodedWidth(transform, width), [&](auto zero) -> uint64_t {
+    using U = decltype(zero);
+    return VisitResiduals(transform, [&](auto kind) -> uint64_t {
+      if constexpr (!IsCoded(kind())) return values.size();
+      const std::vector<U> residuals = ResidualsOf<kind(), U>(values);
+      return TokenCodedBytes(std::span<const U>(residuals));
+    });
   });
 }
 
 absl::Status InvertTransform(Transform transform,
                              std::span<const std::byte> coded, size_t width,
                              std::span<std::byte> values) {
-  return VisitWidth(width, [&](auto zero) -> absl::Status {
+  if (TransformName(transform).empty() || !SuitsWidth(transform, width)) {
+    return absl::DataLossError(
+        absl::StrCat("transform ", static_cast<int>(transform),
+                     " is not one of ", width, " bytes"));
+  }
+  return VisitWidth(CodedWidth(transform, width), [&](auto zero) {
     using U = decltype(zero);
     const size_t count = values.size() / sizeof(U);
     switch (transform) {
@@ -393,24 +511,26 @@ absl::Status InvertTransform(Transform transform,
           Store(values.data(), i, LoadShuffled<U>(coded.data(), count, i));
         }
         return absl::OkStatus();
-      case Transform::kDeltaShuffle: {
+      default:
+        break;
+    }
+    return VisitResiduals(transform, [&](auto kind) -> absl::Status {
+      Residuals<kind(), U> residuals;
+      const auto use = [&](size_t i, U value) {
+        Store(values.data(), i, residuals.ValueOf(value));
+      };
+      if constexpr (kind() == Transform::kDeltaShuffle) {
         MAPSIEVE_RETURN_IF_ERROR(CheckSize(coded, values));
-        U value = 0;
         for (size_t i = 0; i < count; ++i) {
-          const U difference =
-              UnZigZag(LoadShuffled<U>(coded.data(), count, i));
-          value = static_cast<U>(value + difference);
-          Store(values.data(), i, value);
+          use(i, LoadShuffled<U>(coded.data(), count, i));
         }
         return absl::OkStatus();
+      } else if constexpr (IsCoded(kind())) {
+        return ReadTokenCoded<U>(coded, count, use);
+      } else {
+        return Unpack<U>(coded, count, use);
       }
-      case Transform::kDeltaPacked:
-        return Unpack<U>(coded, true, values);
-      case Transform::kAscendingPacked:
-        return Unpack<U>(coded, false, values);
-    }
-    return absl::DataLossError(absl::StrCat(
-        "transform ", static_cast<int>(transform), " is not known"));
+    });
   });
 }
 

@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_CORE_CODEC_TRANSFORMS_H_
 #define MAPSIEVE_CORE_CODEC_TRANSFORMS_H_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -28,7 +29,38 @@ enum class Transform : uint8_t {
   kDeltaPacked = 3,
   /// kDeltaPacked without the zigzag, for values that seldom decrease.
   kAscendingPacked = 4,
+  /// The values, entropy-coded (token_code.h).
+  kCoded = 5,
+  /// The zigzag differences of successive values, entropy-coded.
+  kDeltaCoded = 6,
+  /// kDeltaCoded without the zigzag, for values that seldom decrease.
+  kAscendingCoded = 7,
+  /// How far each difference is from the median of the three before it,
+  /// entropy-coded, for values along scan lines.
+  kMedianCoded = 8,
+  /// The zigzag differences of the low halves of successive values and those
+  /// of the high halves, taking turns, entropy-coded; for two numbers in one
+  /// value, of at least 2 bytes.
+  kHalvesCoded = 9,
 };
+
+inline constexpr std::array kTransforms = {
+    Transform::kPlain,           Transform::kShuffle,
+    Transform::kDeltaShuffle,    Transform::kDeltaPacked,
+    Transform::kAscendingPacked, Transform::kCoded,
+    Transform::kDeltaCoded,      Transform::kAscendingCoded,
+    Transform::kMedianCoded,     Transform::kHalvesCoded};
+
+/// Whether values of `width` bytes can be transformed so.
+constexpr bool SuitsWidth(Transform transform, size_t width) {
+  return transform != Transform::kHalvesCoded || width > 1;
+}
+
+/// Whether the transform is an entropy code, whose bytes no compressor makes
+/// smaller.
+constexpr bool IsCoded(Transform transform) {
+  return transform >= Transform::kCoded;
+}
 
 /// "plain", "shuffle", …; empty for a number that is not a Transform.
 std::string_view TransformName(Transform transform);
@@ -41,13 +73,18 @@ struct CodedSizeRange {
 CodedSizeRange CodedSizes(Transform transform, uint64_t count, size_t width);
 
 /// Appends the transformed `values`, of `width` bytes each, to `coded`.
-/// Deterministic. Memory: a few copies of `values`.
+/// The transform suits the width. Deterministic. Memory: a few copies of
+/// `values`.
 void AppendTransformed(Transform transform, std::span<const std::byte> values,
                        size_t width, std::vector<std::byte>& coded);
 
-/// The inverse: fills `values`, whose size says how many are expected.
-/// kDataLoss if `coded` is not the form of that many values; nothing outside
-/// `values` is written, whatever `coded` holds.
+/// Bytes that AppendTransformed would append; quickly for an entropy code.
+uint64_t CodedBytes(Transform transform, std::span<const std::byte> values,
+                    size_t width);
+
+/// The inverse of AppendTransformed: fills `values`, whose size says how many
+/// are expected. kDataLoss if `coded` is not the form of that many values;
+/// nothing outside `values` is written, whatever `coded` holds.
 absl::Status InvertTransform(Transform transform,
                              std::span<const std::byte> coded, size_t width,
                              std::span<std::byte> values);

@@ -20,17 +20,6 @@ bool IsBefore(const core::LatticePoint& a, const core::LatticePoint& b) {
   return core::MortonLess(a, b);
 }
 
-absl::Status CheckOrder(const core::LatticeCloud& points,
-                        const storage::ChunkRef& chunk) {
-  if (std::is_sorted(points.positions.begin(), points.positions.end(),
-                     IsBefore)) {
-    return absl::OkStatus();
-  }
-  return absl::DataLossError(
-      absl::StrCat("blob ", chunk.blob_id, " of tile ", chunk.tile.ToString(),
-                   ": its points are not in Morton order"));
-}
-
 }  // namespace
 
 absl::StatusOr<core::LatticeCloud> ReadPoints(
@@ -49,19 +38,18 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
     return Annotate(status, absl::StrCat("blob ", chunk.blob_id, " of tile ",
                                          chunk.tile.ToString()));
   }
-  return points;
+  if (std::is_sorted(points->positions.begin(), points->positions.end(),
+                     IsBefore)) {
+    return points;
+  }
+  return points->Select(core::MortonOrder(points->positions));
 }
 
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot,
     std::span<const storage::ChunkRef> chunks,
     const core::DecodeOptions& options) {
-  if (chunks.size() == 1) {
-    MAPSIEVE_ASSIGN_OR_RETURN(core::LatticeCloud points,
-                              ReadPoints(snapshot, chunks.front(), options));
-    MAPSIEVE_RETURN_IF_ERROR(CheckOrder(points, chunks.front()));
-    return points;
-  }
+  if (chunks.size() == 1) return ReadPoints(snapshot, chunks.front(), options);
   core::LatticeCloud points;
   std::vector<uint32_t> order;
   const auto less = [&points](uint32_t a, uint32_t b) {
@@ -70,7 +58,6 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
   for (const storage::ChunkRef& chunk : chunks) {
     MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud part,
                               ReadPoints(snapshot, chunk, options));
-    MAPSIEVE_RETURN_IF_ERROR(CheckOrder(part, chunk));
     points.lattice = part.lattice;
     MAPSIEVE_RETURN_IF_ERROR(points.attributes.AppendAll(
         points.size(), part.attributes, part.size()));
@@ -119,7 +106,6 @@ absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
         core::LatticeCloud cloud,
         ReadPoints(snapshot, chunk,
                    {.attributes = std::vector<std::string>()}));
-    MAPSIEVE_RETURN_IF_ERROR(CheckOrder(cloud, chunk));
     std::vector<core::LatticePoint>& part = cloud.positions;
     if (points.empty()) {
       points = std::move(part);

@@ -11,14 +11,15 @@
 
 namespace mapsieve::engine {
 
-/// The points of a chunk. Errors of ReadSnapshot::ReadChunk and DecodePoints,
-/// naming tile and blob; kDataLoss: not as many points as the catalogue says.
+/// The points of a chunk in Morton order. Errors of ReadSnapshot::ReadChunk and
+/// DecodePoints, naming tile and blob; kDataLoss: not as many points as the
+/// catalogue says.
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options = {});
 
 /// The points of some chunks of a tile together, in Morton order. Errors of
-/// the other ReadPoints; kDataLoss: a chunk is in another order.
+/// the other ReadPoints.
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot,
     std::span<const storage::ChunkRef> chunks,

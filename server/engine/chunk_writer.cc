@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <numeric>
 #include <span>
 #include <stop_token>
 #include <utility>
@@ -29,6 +30,34 @@ LatticeBox TightBox(std::span<const LatticePoint> points) {
   }
   box.max = {box.max.x + 1, box.max.y + 1, box.max.z + 1};
   return box;
+}
+
+/// Runs of rows, spread evenly over `rows`.
+std::vector<uint32_t> SampleRuns(std::span<const uint32_t> rows) {
+  constexpr size_t kRuns = 4;
+  constexpr size_t kRunRows = 512;
+  if (rows.size() <= kRuns * kRunRows) return {rows.begin(), rows.end()};
+  std::vector<uint32_t> sample;
+  for (size_t run = 0; run < kRuns; ++run) {
+    const auto part =
+        rows.subspan(run * (rows.size() - kRunRows) / (kRuns - 1), kRunRows);
+    sample.insert(sample.end(), part.begin(), part.end());
+  }
+  return sample;
+}
+
+/// Whether a sample of the points gets smaller in the order given than in
+/// Morton order.
+absl::StatusOr<bool> IsSmallerUnsorted(const LatticeCloud& points) {
+  std::vector<uint32_t> rows(points.size());
+  std::iota(rows.begin(), rows.end(), uint32_t{0});
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::vector<std::byte> unsorted,
+      core::EncodePoints(points.Select(SampleRuns(rows))));
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> sorted,
+                            core::EncodePoints(points.Select(SampleRuns(
+                                core::MortonOrder(points.positions)))));
+  return unsorted.size() < sorted.size();
 }
 
 }  // namespace
@@ -68,12 +97,21 @@ ChunkWriter::ChunkWriter(storage::Store& store, storage::ChunkKind kind,
 
 absl::Status ChunkWriter::Write(std::vector<TileCloud> clouds,
                                 const std::stop_token& stop) {
+  bool keeps_order = false;
+  if (kind_ == storage::ChunkKind::kRaw && !clouds.empty()) {
+    const auto largest =
+        std::max_element(clouds.begin(), clouds.end(),
+                         [](const TileCloud& a, const TileCloud& b) {
+                           return a.points.size() < b.points.size();
+                         });
+    MAPSIEVE_ASSIGN_OR_RETURN(keeps_order, IsSmallerUnsorted(largest->points));
+  }
   std::vector<absl::StatusOr<std::vector<ChunkRef>>> written(
       clouds.size(), absl::CancelledError("cancelled"));
   executor_.ParallelFor(static_cast<int64_t>(clouds.size()), [&](int64_t i) {
     if (stop.stop_requested()) return;
     const auto slot = static_cast<size_t>(i);
-    written[slot] = WriteTile(clouds[slot]);
+    written[slot] = WriteTile(clouds[slot], keeps_order);
     clouds[slot].points = LatticeCloud();
   });
   for (const auto& chunks : written) {
@@ -84,18 +122,24 @@ absl::Status ChunkWriter::Write(std::vector<TileCloud> clouds,
 }
 
 absl::StatusOr<std::vector<ChunkRef>> ChunkWriter::WriteTile(
-    const TileCloud& cloud) const {
+    const TileCloud& cloud, bool keeps_order) const {
   std::vector<ChunkRef> chunks;
-  const std::vector<uint32_t> order = core::MortonOrder(cloud.points.positions);
   const auto chunk_points = static_cast<size_t>(
       std::clamp(max_chunk_bytes_ / DecodedPointBytes(cloud.points), int64_t{1},
                  core::kMaxBlockPoints));
+  if (keeps_order && cloud.points.size() <= chunk_points) {
+    MAPSIEVE_ASSIGN_OR_RETURN(ChunkRef chunk,
+                              WriteChunk(cloud.tile, cloud.points));
+    chunks.push_back(std::move(chunk));
+    return chunks;
+  }
+  std::vector<uint32_t> order = core::MortonOrder(cloud.points.positions);
   for (size_t begin = 0; begin < order.size(); begin += chunk_points) {
-    const size_t count = std::min(chunk_points, order.size() - begin);
+    const std::span rows = std::span(order).subspan(
+        begin, std::min(chunk_points, order.size() - begin));
+    if (keeps_order) std::sort(rows.begin(), rows.end());
     MAPSIEVE_ASSIGN_OR_RETURN(
-        ChunkRef chunk,
-        WriteChunk(cloud.tile, cloud.points.Select(
-                                   std::span(order).subspan(begin, count))));
+        ChunkRef chunk, WriteChunk(cloud.tile, cloud.points.Select(rows)));
     chunks.push_back(std::move(chunk));
   }
   return chunks;

@@ -45,9 +45,12 @@ class ChunkWriter {
   ChunkWriter(storage::Store& store, storage::ChunkKind kind,
               int64_t max_chunk_bytes, Executor& executor);
 
-  /// Puts the points of each cloud in Morton order, those of one place in the
-  /// order given, and stores them. All are durable when it returns. Product
-  /// clouds are those of SplitByDepth. Errors of storage; kCancelled.
+  /// Stores the points of each cloud, divided by Morton order where that takes
+  /// several chunks. In a chunk they lie in Morton order, those of one place in
+  /// the order given; or, raw points, all in the order given, where a sample
+  /// of the largest cloud is smaller so: scanners give attributes in an order
+  /// that only theirs has. All are durable when it returns. Product clouds are
+  /// those of SplitByDepth. Errors of storage; kCancelled.
   absl::Status Write(std::vector<TileCloud> clouds,
                      const std::stop_token& stop);
 
@@ -56,7 +59,7 @@ class ChunkWriter {
 
  private:
   absl::StatusOr<std::vector<storage::ChunkRef>> WriteTile(
-      const TileCloud& cloud) const;
+      const TileCloud& cloud, bool keeps_order) const;
   absl::StatusOr<storage::ChunkRef> WriteChunk(
       const core::CellKey& tile, const core::LatticeCloud& points) const;
 

@@ -35,8 +35,8 @@ struct IngestLimits {
 /// become points of this map, else kActive. Errors as Engine::FinalizeUpload
 /// has them for the operation.
 ///
-/// Raw chunks of a tile hold its points in Morton order and all attributes
-/// that their block had. Memory: about `limits`, however large the upload.
+/// Raw chunks hold all attributes that the block of their points had. Memory:
+/// about `limits`, however large the upload.
 absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
                                        const std::string& map_id,
                                        const std::string& upload_uid,

@@ -69,12 +69,25 @@ TEST(BlockFormat, ExampleIsWhatIsReadAndWritten) {
             example);
 }
 
+TEST(BlockFormat, Version1HasNoCodedColumns) {
+  std::vector<std::byte> block = ReadGoldenBlock("v1_axes_plain.block");
+  const size_t head_bytes = ReadBlockHead(block)->head_bytes;
+  // The transform of column x.
+  block[105] = static_cast<std::byte>(Transform::kCoded);
+  SealHead(block, head_bytes);
+  EXPECT_THAT(
+      DecodePoints(block),
+      ::mapsieve::testing::StatusIs(
+          absl::StatusCode::kDataLoss,
+          ::testing::HasSubstr("transform of 0 to 4 in version 1, have 5")));
+}
+
 struct GoldenBlock {
   const char* file;
   LatticeCloud cloud;
 };
 
-/// Blocks that version 1 wrote once. They are read for ever: never replace one.
+/// Blocks that a version wrote once. They are read for ever: never replace one.
 std::vector<GoldenBlock> GoldenBlocks() {
   LatticeCloud wide;
   for (const int64_t x : {-1, 1}) {
@@ -92,10 +105,16 @@ std::vector<GoldenBlock> GoldenBlocks() {
           {"v1_morton_zstd.block", VariedCloud(60, true)},
           {"v1_all_transforms.block", VariedCloud(30, false)},
           {"v1_wide_zstd.block", wide},
-          {"v1_empty.block", empty}};
+          {"v1_empty.block", empty},
+          {"v2_axes_lz4.block", VariedCloud(60, false)},
+          {"v2_axes_zstd.block", VariedCloud(60, false)},
+          {"v2_morton_lz4.block", VariedCloud(60, true)},
+          {"v2_transforms_0.block", VariedCloud(30, false)},
+          {"v2_transforms_3.block", VariedCloud(30, false)},
+          {"v2_transforms_6.block", VariedCloud(30, false)}};
 }
 
-TEST(BlockFormat, BlocksOfVersion1AreReadForEver) {
+TEST(BlockFormat, BlocksOfEveryVersionAreReadForEver) {
   for (const auto& [file, cloud] : GoldenBlocks()) {
     SCOPED_TRACE(file);
     const std::vector<std::byte> block = ReadGoldenBlock(file);
@@ -119,7 +138,7 @@ TEST(BlockFormat, GoldenBlocksUseAllOfTheFormat) {
       compressions.insert(static_cast<int>(entry.compression));
     }
   }
-  EXPECT_EQ(transforms, (std::set<int>{0, 1, 2, 3, 4}));
+  EXPECT_EQ(transforms, (std::set<int>{0, 1, 2, 3, 4, 5, 6, 7, 8, 9}));
   EXPECT_EQ(compressions, (std::set<int>{0, 1, 2}));
   EXPECT_EQ(positions,
             (std::set<std::string>{"xint32", "xint64", "mortonuint64"}));

@@ -76,8 +76,8 @@ inline LatticeCloud RandomCloud(uint64_t seed, size_t count, int64_t spread,
   return cloud;
 }
 
-/// A cloud whose encoding uses every transform: columns that each suit one.
-/// `sorted`: along the Morton curve, for Morton codes. The clouds of v1 blocks
+/// A cloud of columns that each suit another transform.
+/// `sorted`: along the Morton curve, for Morton codes. The clouds of the blocks
 /// in testdata: never change it.
 inline LatticeCloud VariedCloud(size_t count, bool sorted) {
   LatticeCloud cloud;
@@ -144,6 +144,31 @@ struct BlockParts {
     return block;
   }
 };
+
+/// A block of `cloud` without compression whose columns x, y, z and attributes
+/// have one transform after the other, beginning with kTransforms[first].
+inline std::vector<std::byte> BlockOfTransforms(const LatticeCloud& cloud,
+                                                size_t first) {
+  BlockParts parts = BlockParts::Of(
+      EncodePoints(cloud, {.compression = Compression::kNone}).value());
+  for (size_t i = 0; i < parts.stored.size(); ++i) {
+    ColumnEntry& entry = parts.head.columns[i];
+    const size_t width = ScalarSize(entry.spec.type);
+    entry.transform = kTransforms[(first + i) % kTransforms.size()];
+    if (!SuitsWidth(entry.transform, width))
+      entry.transform = Transform::kCoded;
+    const size_t bitmap =
+        entry.has_missing ? MissingBitmapBytes(cloud.size()) : 0;
+    std::vector<std::byte>& stored = parts.stored[i];
+    const std::vector<std::byte> values(
+        stored.begin() + static_cast<ptrdiff_t>(bitmap), stored.end());
+    stored.resize(bitmap);
+    AppendTransformed(entry.transform, values, width, stored);
+    entry.coded_bytes = static_cast<uint32_t>(stored.size());
+    entry.stored_bytes = entry.coded_bytes;
+  }
+  return parts.Join();
+}
 
 /// Makes the checksum of the head right.
 inline void SealHead(std::span<std::byte> block, size_t head_bytes) {

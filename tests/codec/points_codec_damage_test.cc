@@ -30,6 +30,9 @@ std::vector<std::vector<std::byte>> SmallBlocks() {
         EncodePoints(RandomCloud(5, 17, int64_t{1} << 40), options).value());
     blocks.push_back(EncodePoints(LatticeCloud(), options).value());
   }
+  for (size_t first = 0; first < kTransforms.size(); first += 3) {
+    blocks.push_back(BlockOfTransforms(VariedCloud(17, false), first));
+  }
   std::set<std::string> used;
   for (const auto& block : blocks) {
     const BlockHead head = ReadBlockHead(block).value();
@@ -41,10 +44,12 @@ std::vector<std::vector<std::byte>> SmallBlocks() {
     used.insert(head.columns[0].spec.name +
                 std::string(ScalarTypeName(head.columns[0].spec.type)));
   }
-  EXPECT_THAT(used, ::testing::UnorderedElementsAre(
-                        "plain", "shuffle", "delta-shuffle", "delta-packed",
-                        "ascending-packed", "none", "lz4", "zstd", "missing",
-                        "xint32", "xint64", "mortonuint64"));
+  EXPECT_THAT(used,
+              ::testing::UnorderedElementsAre(
+                  "plain", "shuffle", "delta-shuffle", "delta-packed",
+                  "ascending-packed", "coded", "delta-coded", "ascending-coded",
+                  "median-coded", "halves-coded", "none", "lz4", "zstd",
+                  "missing", "xint32", "xint64", "mortonuint64"));
   return blocks;
 }
 
@@ -175,9 +180,13 @@ TEST(HostileBlock, LyingNumbersAreRefusedByName) {
   ExpectHeadRefused("type of 1 to 10, have 11", [](BlockHead& h) {
     h.columns[3].spec.type = static_cast<ScalarType>(11);
   });
-  ExpectHeadRefused("transform of 0 to 4, have 5", [](BlockHead& h) {
-    h.columns[3].transform = static_cast<Transform>(5);
-  });
+  ExpectHeadRefused("transform of 0 to 9 in version 2, have 10",
+                    [](BlockHead& h) {
+                      h.columns[3].transform = static_cast<Transform>(10);
+                    });
+  ExpectHeadRefused(
+      "type of at least 2 bytes for transform 9",
+      [](BlockHead& h) { h.columns[3].transform = Transform::kHalvesCoded; });
   ExpectHeadRefused("compression of 0 to 2, have 3", [](BlockHead& h) {
     h.columns[3].compression = static_cast<Compression>(3);
   });

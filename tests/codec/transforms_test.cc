@@ -14,9 +14,6 @@ using ::mapsieve::testing::StatusIs;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 
-constexpr Transform kTransforms[] = {
-    Transform::kPlain, Transform::kShuffle, Transform::kDeltaShuffle,
-    Transform::kDeltaPacked, Transform::kAscendingPacked};
 constexpr size_t kWidths[] = {1, 2, 4, 8};
 
 /// The low `width` bytes of every value.
@@ -47,6 +44,7 @@ void ExpectRoundTrip(const std::vector<uint64_t>& values) {
   for (const size_t width : kWidths) {
     const std::vector<std::byte> bytes = Values(values, width);
     for (const Transform transform : kTransforms) {
+      if (!SuitsWidth(transform, width)) continue;
       SCOPED_TRACE(::testing::Message()
                    << TransformName(transform) << ", " << values.size()
                    << " values of " << width << " bytes");
@@ -54,6 +52,9 @@ void ExpectRoundTrip(const std::vector<uint64_t>& values) {
       const CodedSizeRange sizes = CodedSizes(transform, values.size(), width);
       EXPECT_GE(coded.size(), sizes.min);
       EXPECT_LE(coded.size(), sizes.max);
+      if (IsCoded(transform)) {
+        EXPECT_EQ(CodedBytes(transform, bytes, width), coded.size());
+      }
       std::vector<std::byte> back(bytes.size(), std::byte{0xaa});
       MAPSIEVE_ASSERT_OK(InvertTransform(transform, coded, width, back));
       EXPECT_EQ(back, bytes);
@@ -129,6 +130,62 @@ TEST(Transforms, PackedValuesReadByTheirClasses) {
   EXPECT_EQ(values, Bytes({0, 1, 7, 16, 19}));
 }
 
+/// A table of one code bit for each of two tokens, then four streams.
+std::vector<std::byte> TwoTokens(int low, int high,
+                                 std::initializer_list<int> streams) {
+  std::vector<std::byte> coded(static_cast<size_t>(1 + high / 2 + 1));
+  coded[0] = static_cast<std::byte>(high);
+  for (const int token : {low, high}) {
+    coded[static_cast<size_t>(1 + token / 2)] |=
+        static_cast<std::byte>(1 << (4 * (token % 2)));
+  }
+  for (const int byte : {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}) {
+    coded.push_back(static_cast<std::byte>(byte));
+  }
+  for (const int stream : streams) {
+    coded.push_back(static_cast<std::byte>(stream));
+  }
+  return coded;
+}
+
+/// What `transform` makes of `values` of one byte, and back.
+void ExpectCoded(Transform transform, std::initializer_list<int> values,
+                 const std::vector<std::byte>& expected, size_t width) {
+  EXPECT_EQ(Transformed(transform, Bytes(values), width), expected);
+  std::vector<std::byte> back(values.size());
+  MAPSIEVE_ASSERT_OK(InvertTransform(transform, expected, width, back));
+  EXPECT_EQ(back, Bytes(values));
+}
+
+TEST(Transforms, CodedValuesReadByTheirTokens) {
+  // Token 3 has code 0; token 19, values 28 to 31, code 1 and 2 low bits. The
+  // streams take turns: 3 3; 31; 29; 28.
+  ExpectCoded(Transform::kCoded, {3, 31, 29, 28, 3},
+              TwoTokens(3, 19, {0b00, 0b111, 0b011, 0b001}), 1);
+}
+
+TEST(Transforms, CodedResidualsAreThoseOfTheFormat) {
+  // Differences 2, 0, 0, 2.
+  ExpectCoded(Transform::kAscendingCoded, {2, 2, 2, 4},
+              TwoTokens(0, 2, {1, 0, 0, 1}), 1);
+  // Differences 1, -1, -1, 1: zigzag 2, 1, 1, 2.
+  ExpectCoded(Transform::kDeltaCoded, {1, 0, 255, 0},
+              TwoTokens(1, 2, {1, 0, 0, 1}), 1);
+  // Differences 0, 1, 1, 1; medians of the three before 0, 0, 0, 1.
+  ExpectCoded(Transform::kMedianCoded, {0, 1, 2, 3},
+              TwoTokens(0, 2, {0, 1, 1, 0}), 1);
+  // Low halves 1, 1; high halves 0, 1.
+  ExpectCoded(Transform::kHalvesCoded, {1, 0, 1, 1},
+              TwoTokens(0, 2, {1, 0, 0, 1}), 2);
+}
+
+TEST(Transforms, EqualResidualsTakeNoBits) {
+  // Token 7 alone.
+  const auto coded = Bytes({7, 0, 0, 0, 0x10});
+  ExpectCoded(Transform::kCoded, {7, 7, 7, 7, 7, 7}, coded, 1);
+  ExpectCoded(Transform::kAscendingCoded, {7, 14, 21}, coded, 1);
+}
+
 TEST(Transforms, PackedFormIsSmallForSmallDifferences) {
   std::mt19937_64 random(2);
   std::vector<uint64_t> values(10'000);
@@ -163,9 +220,15 @@ TEST(Transforms, RefuseCodedBytesOfAnotherSize) {
 
 TEST(Transforms, RefuseAnUnknownNumber) {
   std::vector<std::byte> values(4);
-  EXPECT_THAT(InvertTransform(static_cast<Transform>(5), values, 4, values),
-              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("transform 5")));
-  EXPECT_TRUE(TransformName(static_cast<Transform>(5)).empty());
+  EXPECT_THAT(InvertTransform(static_cast<Transform>(10), values, 4, values),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("transform 10")));
+  EXPECT_TRUE(TransformName(static_cast<Transform>(10)).empty());
+}
+
+TEST(Transforms, RefuseHalvesOfOneByte) {
+  std::vector<std::byte> values(4);
+  EXPECT_THAT(InvertTransform(Transform::kHalvesCoded, values, 1, values),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("transform 9")));
 }
 
 TEST(PackedValues, RefuseClassesThatAreNone) {
