@@ -132,8 +132,13 @@ class DepthsRun {
     for (int level = 1; level <= kMaxDepth; ++level) {
       MAPSIEVE_RETURN_IF_ERROR(MakeLevel(level, node_level, std::move(parts)));
       parts = PartsOf(levels_.back(), level);
-      node_level =
-          std::max(node_level, std::min(node_level + 1, kMaxMemoryTileLevel));
+      // What is made anew is little where nodes are small; deeper levels have
+      // few points anyway.
+      constexpr int kLevelsByTile = 3;
+      if (previous_ == nullptr || level >= kLevelsByTile) {
+        node_level =
+            std::max(node_level, std::min(node_level + 1, kMaxMemoryTileLevel));
+      }
       context_.ReportProgress(level, kMaxDepth);
     }
     return EmitDepths();

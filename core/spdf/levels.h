@@ -91,7 +91,8 @@ class PreviousLevels {
 ///
 /// Level by level, units of nodes are loaded with a halo of their radius: a
 /// node is a cell of the tiles' level, one level coarser for each level of
-/// detail, since it then holds about as many points. Neither tiles nor
+/// detail, since it then holds about as many points (given `previous`, from the
+/// fourth level on). Neither tiles nor
 /// max_unit_points, order, worker count or `previous` show in the depths.
 /// Memory: a unit, and one node a level. Errors: kInvalidArgument (options),
 /// kCancelled, those of `store` and `previous`.

@@ -1,5 +1,7 @@
 #include "core/spdf/tile_cells.h"
 
+#include <optional>
+
 namespace mapsieve::core {
 
 void TileCells::Add(const LatticeBox& box) {
@@ -21,6 +23,14 @@ void TileCells::Add(const LatticeBox& box) {
       }
     }
   }
+}
+
+LatticeBox TileCells::Bounds() const {
+  std::optional<LatticeBox> bounds;
+  ForEach([&bounds](const LatticeBox& cell) {
+    bounds = bounds.has_value() ? bounds->Union(cell) : cell;
+  });
+  return *bounds;
 }
 
 TileDirectory::TileDirectory(const CellKey& tile,

@@ -72,6 +72,9 @@ class TileCells {
   void Add(const TileCells& other) { cells_ |= other.cells_; }
   void Remove(const TileCells& other) { cells_ &= ~other.cells_; }
 
+  /// The smallest box that holds all cells of the set, of which there is one.
+  LatticeBox Bounds() const;
+
   /// Calls use(box) for every cell of the set.
   template <typename Use>
   void ForEach(const Use& use) const {

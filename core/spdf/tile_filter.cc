@@ -192,7 +192,8 @@ class TileFilter {
       for (const size_t t : unit) {
         core += static_cast<double>(tiles_.tiles()[t].point_count);
       }
-      for (const auto& [t, near] : tiles_.HaloTiles(unit, margin)) {
+      for (const auto& [t, near] :
+           tiles_.HaloTiles(unit, tiles_.BoxesOf(unit), margin)) {
         const auto& [key, count] = tiles_.tiles()[t];
         halo +=
             static_cast<double>(count) *
@@ -289,7 +290,7 @@ class TileFilter {
       if (std::binary_search(unit.begin(), unit.end(), t)) return true;
     }
     for (const auto& [t, near] :
-         tiles_.HaloTiles(unit, constants_.reach_steps)) {
+         tiles_.HaloTiles(unit, tiles_.BoxesOf(unit), constants_.reach_steps)) {
       if (tiles.contains(t)) return true;
     }
     return false;

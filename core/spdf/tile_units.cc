@@ -90,23 +90,32 @@ std::vector<PointUnits::Unit> PointUnits::Group(std::span<const size_t> wanted,
   return units;
 }
 
-std::unordered_map<size_t, std::vector<size_t>> PointUnits::HaloTiles(
-    const Unit& unit, int64_t margin) const {
+std::vector<LatticeBox> PointUnits::BoxesOf(const Unit& unit) const {
+  std::vector<LatticeBox> boxes;
+  for (const size_t t : unit) boxes.push_back(tiles_[t].key.box());
+  return boxes;
+}
+
+std::unordered_map<size_t, std::vector<LatticeBox>> PointUnits::HaloTiles(
+    const Unit& unit, std::span<const LatticeBox> boxes, int64_t margin) const {
   HaloOf halo;
   if (unit.size() == tiles_.size()) return halo;
-  for (const size_t core : unit) {
-    for (const size_t t : TilesIn(tiles_[core].key.box().Grown(margin))) {
+  for (const LatticeBox& box : boxes) {
+    const LatticeBox grown = box.Grown(margin);
+    for (const size_t t : TilesIn(grown)) {
       if (!std::binary_search(unit.begin(), unit.end(), t)) {
-        halo[t].push_back(core);
+        halo[t].push_back(grown);
       }
     }
   }
   return halo;
 }
 
-absl::StatusOr<LoadedUnit> PointUnits::Load(const Unit& unit, int64_t margin) {
+absl::StatusOr<LoadedUnit> PointUnits::Load(const Unit& unit,
+                                            std::span<const LatticeBox> boxes,
+                                            int64_t margin) {
   LoadedUnit loaded;
-  const HaloOf halo = HaloTiles(unit, margin);
+  const HaloOf halo = HaloTiles(unit, boxes, margin);
   std::vector<size_t> wanted = unit;
   for (const auto& [tile, near] : halo) wanted.push_back(tile);
   std::sort(wanted.begin(), wanted.end());
@@ -123,7 +132,7 @@ absl::StatusOr<LoadedUnit> PointUnits::Load(const Unit& unit, int64_t margin) {
   }
   const absl::Status status =
       ForEachBatch(loaded.tiles, [&](std::span<LoadedTile> batch) {
-        return LoadBatch(halo, margin, batch, work);
+        return LoadBatch(halo, batch, work);
       });
   if (!status.ok()) return status;
   return loaded;
@@ -139,9 +148,9 @@ absl::StatusOr<std::span<const LatticePoint>> PointUnits::LoadPoints(
   return points.first(static_cast<size_t>(size));
 }
 
-/// Appends the points of `batch` to `work`; of a halo tile, those within
-/// `margin` steps of the core tiles that `halo` names.
-absl::Status PointUnits::LoadBatch(const HaloOf& halo, int64_t margin,
+/// Appends the points of `batch` to `work`; of a halo tile, those in the boxes
+/// of `halo`.
+absl::Status PointUnits::LoadBatch(const HaloOf& halo,
                                    std::span<LoadedTile> batch,
                                    WorkUnit& work) {
   const auto count = static_cast<int64_t>(batch.size());
@@ -151,7 +160,7 @@ absl::Status PointUnits::LoadBatch(const HaloOf& halo, int64_t margin,
     begins.push_back(room);
     const TileDirectory& directory = directories_[tile.tile];
     if (!tile.is_core && directory.IsMade()) {
-      tile.rows = directory.RowsIn(HaloBoxes(halo.at(tile.tile), margin));
+      tile.rows = directory.RowsIn(halo.at(tile.tile));
       room += RowCount(tile.rows);
     } else {
       room += static_cast<size_t>(tiles_[tile.tile].point_count);
@@ -165,7 +174,7 @@ absl::Status PointUnits::LoadBatch(const HaloOf& halo, int64_t margin,
         const auto b = static_cast<size_t>(i);
         points[b] = std::span(batch_points_)
                         .subspan(begins[b], begins[b + 1] - begins[b]);
-        return LoadTile(halo, margin, batch[b], points[b]);
+        return LoadTile(halo, batch[b], points[b]);
       }));
   for (size_t b = 0; b < batch.size(); ++b) {
     batch[b].begin = work.size();
@@ -182,8 +191,7 @@ absl::Status PointUnits::LoadBatch(const HaloOf& halo, int64_t margin,
 /// Loads the wanted points of a tile into `points`, which it shortens to them,
 /// and sets their rows. `tile.rows`: all that are needed of a halo tile; none
 /// if that is not known yet.
-absl::Status PointUnits::LoadTile(const HaloOf& halo, int64_t margin,
-                                  LoadedTile& tile,
+absl::Status PointUnits::LoadTile(const HaloOf& halo, LoadedTile& tile,
                                   std::span<LatticePoint>& points) {
   const CellKey& key = tiles_[tile.tile].key;
   TileDirectory& directory = directories_[tile.tile];
@@ -199,7 +207,7 @@ absl::Status PointUnits::LoadTile(const HaloOf& halo, int64_t margin,
   }
   if (tile.is_core) return absl::OkStatus();
 
-  const std::vector<LatticeBox> boxes = HaloBoxes(halo.at(tile.tile), margin);
+  const std::vector<LatticeBox>& boxes = halo.at(tile.tile);
   std::vector<RowRange> kept;
   size_t from = 0;
   size_t to = 0;
@@ -222,16 +230,6 @@ absl::Status PointUnits::LoadTile(const HaloOf& halo, int64_t margin,
   tile.rows = std::move(kept);
   points = points.first(to);
   return absl::OkStatus();
-}
-
-/// Where the points within `margin` steps of the tiles `core` are.
-std::vector<LatticeBox> PointUnits::HaloBoxes(const std::vector<size_t>& core,
-                                              int64_t margin) const {
-  std::vector<LatticeBox> boxes;
-  for (const size_t t : core) {
-    boxes.push_back(tiles_[t].key.box().Grown(margin));
-  }
-  return boxes;
 }
 
 template <typename Use>

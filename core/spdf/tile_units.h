@@ -61,13 +61,24 @@ class PointUnits {
   std::vector<Unit> Group(std::span<const size_t> wanted,
                           int64_t max_unit_points) const;
 
-  /// Tiles outside `unit` within `margin` steps of it, and for each the core
-  /// tiles that near.
-  std::unordered_map<size_t, std::vector<size_t>> HaloTiles(
-      const Unit& unit, int64_t margin) const;
+  /// The boxes of the unit's tiles.
+  std::vector<LatticeBox> BoxesOf(const Unit& unit) const;
 
-  /// The points of the unit's tiles, and others within `margin` steps of them.
-  absl::StatusOr<LoadedUnit> Load(const Unit& unit, int64_t margin);
+  /// Numbers of the tiles outside `unit` within `margin` steps of `boxes`, and
+  /// for each the boxes that near, grown by the margin.
+  std::unordered_map<size_t, std::vector<LatticeBox>> HaloTiles(
+      const Unit& unit, std::span<const LatticeBox> boxes,
+      int64_t margin) const;
+
+  /// The points of the unit's tiles, and others within `margin` steps of
+  /// `boxes`.
+  absl::StatusOr<LoadedUnit> Load(const Unit& unit,
+                                  std::span<const LatticeBox> boxes,
+                                  int64_t margin);
+  /// And others within `margin` steps of the tiles.
+  absl::StatusOr<LoadedUnit> Load(const Unit& unit, int64_t margin) {
+    return Load(unit, BoxesOf(unit), margin);
+  }
 
   /// The points of a tile; valid until the next call.
   absl::StatusOr<std::span<const LatticePoint>> LoadPoints(size_t tile);
@@ -84,14 +95,12 @@ class PointUnits {
   BulkVector<LatticePoint> batch_points_;
 
  private:
-  using HaloOf = std::unordered_map<size_t, std::vector<size_t>>;
+  using HaloOf = std::unordered_map<size_t, std::vector<LatticeBox>>;
 
-  absl::Status LoadBatch(const HaloOf& halo, int64_t margin,
-                         std::span<LoadedTile> batch, WorkUnit& work);
-  absl::Status LoadTile(const HaloOf& halo, int64_t margin, LoadedTile& tile,
+  absl::Status LoadBatch(const HaloOf& halo, std::span<LoadedTile> batch,
+                         WorkUnit& work);
+  absl::Status LoadTile(const HaloOf& halo, LoadedTile& tile,
                         std::span<LatticePoint>& points);
-  std::vector<LatticeBox> HaloBoxes(const std::vector<size_t>& core,
-                                    int64_t margin) const;
 
   PointTiles& source_;
   const SpdfOptions& options_;

@@ -76,6 +76,15 @@ class TileUpdate {
     return cells.try_emplace(t, GridOf(t)).first->second;
   }
 
+  /// What holds the cells of each tile that has any.
+  static std::vector<LatticeBox> BoundsOf(const CellSet& cells) {
+    std::vector<LatticeBox> bounds;
+    for (const auto& [t, of_tile] : cells) {
+      if (of_tile.Any()) bounds.push_back(of_tile.Bounds());
+    }
+    return bounds;
+  }
+
   /// Adds the cells that intersect `box`.
   void Add(const LatticeBox& box, CellSet& cells) const {
     for (const size_t t : tiles_.TilesIn(box)) CellsOf(t, cells).Add(box);
@@ -128,8 +137,8 @@ class TileUpdate {
   absl::Status UpdateDeaths(const Unit& unit) {
     CellSet filtered;
     for (const size_t t : unit) filtered.insert(pending_.extract(t));
-    MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit loaded,
-                              tiles_.Load(unit, DeathReach()));
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        LoadedUnit loaded, tiles_.Load(unit, BoundsOf(filtered), DeathReach()));
     WorkUnit& work = *loaded.work;
     work.core() = PointsIn(filtered, loaded);
     BulkVector<DeathRound>& deaths = work.deaths();
@@ -194,11 +203,6 @@ class TileUpdate {
   /// of the tiles is emitted as it was.
   absl::Status EmitAnew(const Unit& unit) {
     const int64_t reach = constants_.reach_steps;
-    MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit loaded, tiles_.Load(unit, 2 * reach));
-    WorkUnit& work = *loaded.work;
-    MAPSIEVE_RETURN_IF_ERROR(tiles_.LoadStates(loaded, TileStateKind::kDeaths,
-                                               /*with_halo=*/true,
-                                               work.deaths()));
     CellSet labeled;
     CellSet voting;
     for (const size_t t : unit) {
@@ -207,6 +211,12 @@ class TileUpdate {
       cells.ForEach(
           [&](const LatticeBox& box) { Add(box.Grown(reach), voting); });
     }
+    MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit loaded,
+                              tiles_.Load(unit, BoundsOf(labeled), 2 * reach));
+    WorkUnit& work = *loaded.work;
+    MAPSIEVE_RETURN_IF_ERROR(tiles_.LoadStates(loaded, TileStateKind::kDeaths,
+                                               /*with_halo=*/true,
+                                               work.deaths()));
     // Voters around the labeled are computed with them, from what is beyond.
     BulkVector<uint8_t> is_labeled = PointsIn(labeled, loaded);
     work.core() = PointsIn(voting, loaded);

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "core/base/status.h"
+#include "core/cloud/merge_duplicates.h"
 #include "core/geometry/morton.h"
 #include "server/engine/product_chunk.h"
 

@@ -35,7 +35,7 @@ using ::testing::Le;
 using Loss = FaultFileSystem::Loss;
 
 // Of so many operations one is made to fail, unless all are asked for.
-constexpr int64_t kStride = 307;
+constexpr int64_t kStride = 607;
 constexpr absl::Duration kLong = absl::Minutes(1);
 
 /// How a device fails, and what a power failure leaves afterwards; nothing:

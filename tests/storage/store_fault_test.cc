@@ -26,7 +26,7 @@ using ::testing::ElementsAre;
 using Contents = std::vector<std::string>;
 
 // Of so many operations one is made to fail, unless all are asked for.
-constexpr int64_t kStride = 3;
+constexpr int64_t kStride = 7;
 
 // How a device fails, and what a power failure leaves afterwards.
 struct FaultMode {
