@@ -203,8 +203,8 @@ class MapRun {
     MAPSIEVE_RETURN_IF_ERROR(OpenTiles(&previous));
     MAPSIEVE_ASSIGN_OR_RETURN(
         const core::UpdateSummary update,
-        core::UpdateTiles(*tiles_, *tiles_, previous.changes, lattice_, options_,
-                          tiling_, context_));
+        core::UpdateTiles(*tiles_, *tiles_, previous.changes, lattice_,
+                          options_, tiling_, context_));
     MAPSIEVE_RETURN_IF_ERROR(tiles_->Flush());
     std::unordered_set<core::CellKey, core::CellKeyHash> replaced =
         tiles_->emitted();
