@@ -18,8 +18,11 @@ if(MAPSIEVE_WERROR)
 endif()
 
 if(MAPSIEVE_SANITIZE)
+  # A target may have fewer by the property MAPSIEVE_SANITIZERS.
+  string(REPLACE "," "$<COMMA>" sanitizers "${MAPSIEVE_SANITIZE}")
+  set(own $<TARGET_PROPERTY:MAPSIEVE_SANITIZERS>)
   target_compile_options(mapsieve_options INTERFACE
-    -fsanitize=${MAPSIEVE_SANITIZE} -fno-omit-frame-pointer
+    "-fsanitize=$<IF:$<BOOL:${own}>,${own},${sanitizers}>" -fno-omit-frame-pointer
     -fno-sanitize-recover=all)
   target_link_options(mapsieve_options INTERFACE
     -fsanitize=${MAPSIEVE_SANITIZE})
