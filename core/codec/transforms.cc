@@ -173,9 +173,9 @@ U LoadShuffled(const std::byte* planes, size_t count, size_t i) {
   return value;
 }
 
-// The packed form: 16 upper bit lengths, one class number of 4
-// bits a value, then the bits of the values. A class covers the lengths above
-// those of the class before it up to its own upper one.
+// The packed form: 16 upper bit lengths, one class number of 4 bits a value,
+// then the bits of the values. A class covers the lengths above those of the
+// class before it up to its own upper one.
 
 constexpr size_t kClassCount = 16;
 constexpr int kMaxLength = 64;

@@ -199,7 +199,10 @@ absl::Status PointUnits::LoadTile(const HaloOf& halo, LoadedTile& tile,
     MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
                               source_.LoadPoints(key, points));
     points = points.first(static_cast<size_t>(size));
-    if (!directory.IsMade()) directory = TileDirectory(key, points);
+    // Tiles without a halo are in nobody else's, at this margin.
+    if (!directory.IsMade() && !halo.empty()) {
+      directory = TileDirectory(key, points);
+    }
     tile.rows.clear();
     if (size > 0) tile.rows.push_back({0, static_cast<uint32_t>(size)});
   } else if (!tile.rows.empty()) {

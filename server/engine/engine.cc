@@ -18,6 +18,7 @@
 #include "server/engine/opaque_records.h"
 #include "server/engine/process_map.h"
 #include "server/engine/region_query.h"
+#include "server/engine/request_checks.h"
 #include "server/engine/revision_report.h"
 #include "server/engine/verify_map.h"
 #include "storage/file_system.h"
@@ -30,56 +31,6 @@ namespace {
 /// Threads that store chunks: they wait for the disk most of the time.
 constexpr int kIoThreads = 4;
 constexpr int kMaxWorkers = 1024;
-
-absl::Status CheckAtLeastOne(const char* field, int value) {
-  if (value >= 1) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, " is ", value, "; it must be at least 1"));
-}
-
-absl::Status CheckLength(const char* field, const std::string& text,
-                         size_t limit) {
-  if (text.size() <= limit) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      field, " has ", text.size(), " bytes; it must have at most ", limit));
-}
-
-absl::StatusOr<int64_t> PageSize(const PageRequest& page) {
-  if (page.page_size < 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("page_size is ", page.page_size, "; it must be 0 (",
-                     kDefaultPageSize, ") or above"));
-  }
-  return page.page_size == 0 ? kDefaultPageSize
-                             : std::min(page.page_size, kMaxPageSize);
-}
-
-/// Cuts `records`, of which one more than a page was asked for, to a page, and
-/// returns the token of the next one.
-template <typename Record, typename ToToken>
-std::string CutPage(std::vector<Record>& records, int64_t size,
-                    const ToToken& to_token) {
-  if (static_cast<int64_t>(records.size()) <= size) return "";
-  records.resize(static_cast<size_t>(size));
-  return to_token(records.back());
-}
-
-absl::StatusOr<int> TileLevel(const MapSpec& spec) {
-  if (spec.tile_edge == 0) return kDefaultTileLevel;
-  const core::Lattice lattice(spec.step_nm);
-  const auto edge = [&](int level) {
-    return lattice.Coordinate(int64_t{1} << level);
-  };
-  // The negation refuses NaN too.
-  if (!(spec.tile_edge > 0 && spec.tile_edge <= edge(core::kMaxTileLevel))) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "tile_edge is ", spec.tile_edge, "; it must be above 0 and at most ",
-        edge(core::kMaxTileLevel), " (2^", core::kMaxTileLevel, " steps)"));
-  }
-  int level = kMinTileLevel;
-  while (edge(level) < spec.tile_edge) ++level;
-  return level;
-}
 
 absl::StatusOr<UploadInfo> ToInfo(const storage::UploadRecord& record) {
   UploadInfo info = {

@@ -35,6 +35,7 @@
 #include "core/codec/points_codec.h"
 #include "core/spdf/cloud_filter.h"
 #include "server/engine/product_chunk.h"
+#include "tests/bench/bench_util.h"
 
 namespace mapsieve::bench {
 namespace {
@@ -50,19 +51,8 @@ struct TableOptions {
   std::vector<std::string> clouds;
 };
 
-[[noreturn]] void Fail(const std::string& message) {
-  std::fprintf(stderr, "%s\n", message.c_str());
-  std::exit(1);
-}
-
-template <typename T>
-T ValueOrDie(absl::StatusOr<T> value) {
-  if (!value.ok()) Fail(value.status().ToString());
-  return *std::move(value);
-}
-
 /// Median processor seconds of `work`.
-double Seconds(int repeats, const std::function<void()>& work) {
+double ProcessorSeconds(int repeats, const std::function<void()>& work) {
   std::vector<double> seconds;
   for (int i = 0; i < repeats; ++i) {
     const std::clock_t start = std::clock();
@@ -70,8 +60,7 @@ double Seconds(int repeats, const std::function<void()>& work) {
     seconds.push_back(static_cast<double>(std::clock() - start) /
                       CLOCKS_PER_SEC);
   }
-  std::sort(seconds.begin(), seconds.end());
-  return std::max(seconds[seconds.size() / 2], 1e-6);
+  return std::max(Median(std::move(seconds)), 1e-6);
 }
 
 /// A folder for the files of other programs, removed with what is in it.
@@ -333,17 +322,17 @@ void PrintSpeed(const std::string& name, const LatticeCloud& points,
   };
   for (const Compression compression : kCompressions) {
     const std::vector<std::byte> block = Encode(sorted, compression);
-    const double with_sort_s = Seconds(
+    const double with_sort_s = ProcessorSeconds(
         options.repeats, [&] { Encode(InMortonOrder(points), compression); });
     const double encode_s =
-        Seconds(options.repeats, [&] { Encode(sorted, compression); });
-    const double decode_s = Seconds(
+        ProcessorSeconds(options.repeats, [&] { Encode(sorted, compression); });
+    const double decode_s = ProcessorSeconds(
         options.repeats, [&] { ValueOrDie(core::DecodePoints(block)); });
     const auto decoded_bytes = static_cast<size_t>(
         ValueOrDie(core::ReadBlockHeader(block)).decoded_bytes);
     const std::vector<std::byte> source(decoded_bytes, std::byte{1});
     std::vector<std::byte> target(decoded_bytes, std::byte{2});
-    const double copy_s = Seconds(options.repeats, [&] {
+    const double copy_s = ProcessorSeconds(options.repeats, [&] {
       std::memcpy(target.data(), source.data(), decoded_bytes);
       if (target.back() != source.back()) Fail("memcpy failed");
     });

@@ -41,11 +41,6 @@ struct BenchOptions {
   bool memory = false;
 };
 
-[[noreturn]] void Fail(const std::string& message) {
-  std::cerr << message << "\n";
-  std::exit(1);
-}
-
 std::vector<core::Point3> Simulated(const std::string& spec) {
   client::SimulateOptions options;
   const size_t colon = spec.find(':');
@@ -53,15 +48,7 @@ std::vector<core::Point3> Simulated(const std::string& spec) {
   if (colon != std::string::npos) {
     options.rotation_spacing_m = std::atof(spec.substr(colon + 1).c_str());
   }
-  client::CampusScanner scanner =
-      ValueOrDie(client::CampusScanner::Create(options));
-  std::vector<core::Point3> points;
-  points.reserve(static_cast<size_t>(options.point_count));
-  while (true) {
-    const core::PointCloud batch = ValueOrDie(scanner.NextBatch(100'000));
-    if (batch.size() == 0) return points;
-    points.insert(points.end(), batch.positions.begin(), batch.positions.end());
-  }
+  return SimulatedPoints(options);
 }
 
 std::vector<core::Point3> ReadCloud(const std::string& name) {

@@ -67,17 +67,15 @@ void PrintLevels(const std::vector<core::LatticePoint>& points,
 }
 
 void PrintTable(const TableOptions& options) {
-  client::CampusScanner scanner = ValueOrDie(
-      client::CampusScanner::Create({.point_count = options.point_count}));
-  const core::PointCloud survey =
-      ValueOrDie(scanner.NextBatch(static_cast<size_t>(options.point_count)));
+  const std::vector<core::Point3> survey =
+      SimulatedPoints({.point_count = options.point_count});
   std::vector<double> filter_s;
   std::vector<double> levels_s;
   std::vector<core::LatticePoint> points;
   std::vector<core::Label> labels;
   std::vector<uint8_t> depths;
   for (int i = 0; i < options.repeats; ++i) {
-    core::PointCloud input{survey.positions, {}};
+    core::PointCloud input{survey, {}};
     core::LatticeCloud cloud;
     core::FilteredCloud filtered;
     filter_s.push_back(Seconds([&] {

@@ -89,13 +89,10 @@ class BenchTiles final : public core::TileStore {
 };
 
 std::vector<core::LatticePoint> Campus(int64_t point_count) {
-  client::CampusScanner scanner =
-      ValueOrDie(client::CampusScanner::Create({.point_count = point_count}));
   core::RefusedCounts refused;
   return core::DistinctPoints(
-      core::Quantize(
-          ValueOrDie(scanner.NextBatch(static_cast<size_t>(point_count))),
-          core::Lattice(), refused)
+      core::Quantize({SimulatedPoints({.point_count = point_count}), {}},
+                     core::Lattice(), refused)
           .positions);
 }
 
