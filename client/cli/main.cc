@@ -448,6 +448,14 @@ int Main(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
+    const std::vector<std::string> unknown = app.remaining();
+    if (app.get_subcommands().empty() && !unknown.empty()) {
+      std::fprintf(stderr,
+                   "mapsieve: unknown command or option \"%s\"; "
+                   "\"mapsieve --help\" lists them\n",
+                   unknown.front().c_str());
+      return 2;
+    }
     return app.exit(error) == 0 ? 0 : 2;
   }
   const absl::Status status = run();

@@ -209,6 +209,8 @@ class MainPath(unittest.TestCase):
         self.fails("create", "../etc", message="../etc")
         self.fails("info", "nosuchmap", message="nosuchmap")
         self.fails("query", "bad", status=2)
+        self.fails("proces", "bad", status=2,
+                   message='unknown command or option "proces"')
         self.fails("nosuchcommand", status=2)
         self.assertEqual(self.mapsieve("info", "bad"), before)
 
