@@ -68,7 +68,11 @@ U Median(U a, U b, U c) {
 template <Transform transform, std::unsigned_integral U>
 class Residuals {
  public:
+  /// `shift`: low bits that are 0 in all values, fewer than U has.
+  explicit Residuals(int shift = 0) : shift_(shift) {}
+
   U Of(U value) {
+    if constexpr (kScaled) value = static_cast<U>(value >> shift_);
     if constexpr (transform == Transform::kCoded) return value;
     const U difference = static_cast<U>(value - value_);
     const U residual = static_cast<U>(difference - Expected());
@@ -81,6 +85,7 @@ class Residuals {
     const U difference = static_cast<U>(residual + Expected());
     const U value = static_cast<U>(value_ + difference);
     Advance(value, difference);
+    if constexpr (kScaled) return static_cast<U>(value << shift_);
     return value;
   }
 
@@ -88,7 +93,8 @@ class Residuals {
   static constexpr bool kZigZag = transform != Transform::kAscendingCoded &&
                                   transform != Transform::kAscendingPacked;
   static constexpr bool kMedian = transform == Transform::kMedianCoded;
-  static constexpr bool kHalves = transform == Transform::kHalvesCoded;
+  static constexpr bool kHalves = IsOfHalves(transform);
+  static constexpr bool kScaled = transform == Transform::kScaledHalvesCoded;
 
   U Expected() const {
     return kMedian ? Median(before_[0], before_[1], before_[2]) : U{0};
@@ -103,6 +109,7 @@ class Residuals {
     if constexpr (kMedian) before_ = {difference, before_[0], before_[1]};
   }
 
+  const int shift_;
   /// The value that the next one is compared with.
   U value_ = 0;
   /// The last half.
@@ -111,10 +118,20 @@ class Residuals {
   std::array<U, 3> before_{};
 };
 
+/// Low bits that are 0 in all values; 0 if all values are 0.
+template <std::unsigned_integral U>
+int CommonZeroBits(std::span<const std::byte> values) {
+  U bits = 0;
+  for (size_t i = 0; i < values.size() / sizeof(U); ++i) {
+    bits = static_cast<U>(bits | Load<U>(values.data(), i));
+  }
+  return bits == 0 ? 0 : std::countr_zero(bits);
+}
+
 template <Transform transform, std::unsigned_integral U>
-std::vector<U> ResidualsOf(std::span<const std::byte> values) {
+std::vector<U> ResidualsOf(std::span<const std::byte> values, int shift) {
   std::vector<U> result(values.size() / sizeof(U));
-  Residuals<transform, U> residuals;
+  Residuals<transform, U> residuals(shift);
   for (size_t i = 0; i < result.size(); ++i) {
     result[i] = residuals.Of(Load<U>(values.data(), i));
   }
@@ -142,6 +159,8 @@ auto VisitResiduals(Transform transform, F&& f) {
       return call.template operator()<Transform::kMedianCoded>();
     case Transform::kHalvesCoded:
       return call.template operator()<Transform::kHalvesCoded>();
+    case Transform::kScaledHalvesCoded:
+      return call.template operator()<Transform::kScaledHalvesCoded>();
     default:
       return call.template operator()<Transform::kCoded>();
   }
@@ -149,7 +168,7 @@ auto VisitResiduals(Transform transform, F&& f) {
 
 /// Bytes of the numbers that a transform of values of `width` bytes codes.
 constexpr size_t CodedWidth(Transform transform, size_t width) {
-  return transform == Transform::kHalvesCoded ? width / 2 : width;
+  return IsOfHalves(transform) ? width / 2 : width;
 }
 
 template <std::unsigned_integral U>
@@ -393,6 +412,20 @@ absl::Status CheckSize(std::span<const std::byte> coded,
                                           " bytes, have ", coded.size()));
 }
 
+/// The zero bits that scaled halves begin with.
+template <std::unsigned_integral U>
+absl::StatusOr<int> TakeShift(std::span<const std::byte>& coded) {
+  constexpr int kBits = 8 * sizeof(U);
+  const int shift = coded.empty() ? kBits : static_cast<int>(coded.front());
+  if (shift >= kBits) {
+    return absl::DataLossError(absl::StrCat(
+        "scaled halves: expected fewer than ", kBits, " zero bits, have ",
+        coded.empty() ? "no bytes" : absl::StrCat(shift)));
+  }
+  coded = coded.subspan(1);
+  return shift;
+}
+
 }  // namespace
 
 std::string_view TransformName(Transform transform) {
@@ -417,6 +450,8 @@ std::string_view TransformName(Transform transform) {
       return "median-coded";
     case Transform::kHalvesCoded:
       return "halves-coded";
+    case Transform::kScaledHalvesCoded:
+      return "scaled-halves-coded";
   }
   return {};
 }
@@ -441,6 +476,8 @@ CodedSizeRange CodedSizes(Transform transform, uint64_t count, size_t width) {
       return {2, kMaxTokenHeadBytes + count * (width + 1)};
     case Transform::kHalvesCoded:
       return {2, kMaxTokenHeadBytes + count * (width + 2)};
+    case Transform::kScaledHalvesCoded:
+      return {3, 1 + kMaxTokenHeadBytes + count * (width + 2)};
   }
   return {bytes, bytes};
 }
@@ -463,7 +500,12 @@ void AppendTransformed(Transform transform, std::span<const std::byte> values,
       return;
     }
     VisitResiduals(transform, [&](auto kind) {
-      const std::vector<U> residuals = ResidualsOf<kind(), U>(values);
+      int shift = 0;
+      if constexpr (kind() == Transform::kScaledHalvesCoded) {
+        shift = CommonZeroBits<U>(values);
+        coded.push_back(static_cast<std::byte>(shift));
+      }
+      const std::vector<U> residuals = ResidualsOf<kind(), U>(values, shift);
       if constexpr (kind() == Transform::kDeltaShuffle) {
         append_planes(AsBytes(residuals).data());
       } else if constexpr (IsCoded(kind())) {
@@ -481,8 +523,10 @@ uint64_t CodedBytes(Transform transform, std::span<const std::byte> values,
     using U = decltype(zero);
     return VisitResiduals(transform, [&](auto kind) -> uint64_t {
       if constexpr (!IsCoded(kind())) return values.size();
-      const std::vector<U> residuals = ResidualsOf<kind(), U>(values);
-      return TokenCodedBytes(std::span<const U>(residuals));
+      constexpr bool kScaled = kind() == Transform::kScaledHalvesCoded;
+      const int shift = kScaled ? CommonZeroBits<U>(values) : 0;
+      const std::vector<U> residuals = ResidualsOf<kind(), U>(values, shift);
+      return TokenCodedBytes(std::span<const U>(residuals)) + (kScaled ? 1 : 0);
     });
   });
 }
@@ -515,7 +559,11 @@ absl::Status InvertTransform(Transform transform,
         break;
     }
     return VisitResiduals(transform, [&](auto kind) -> absl::Status {
-      Residuals<kind(), U> residuals;
+      int shift = 0;
+      if constexpr (kind() == Transform::kScaledHalvesCoded) {
+        MAPSIEVE_ASSIGN_OR_RETURN(shift, TakeShift<U>(coded));
+      }
+      Residuals<kind(), U> residuals(shift);
       const auto use = [&](size_t i, U value) {
         Store(values.data(), i, residuals.ValueOf(value));
       };

@@ -42,18 +42,31 @@ enum class Transform : uint8_t {
   /// of the high halves, taking turns, entropy-coded; for two numbers in one
   /// value, of at least 2 bytes.
   kHalvesCoded = 9,
+  /// kHalvesCoded of the halves without the low bits that are 0 in all.
+  kScaledHalvesCoded = 10,
 };
 
-inline constexpr std::array kTransforms = {
-    Transform::kPlain,           Transform::kShuffle,
-    Transform::kDeltaShuffle,    Transform::kDeltaPacked,
-    Transform::kAscendingPacked, Transform::kCoded,
-    Transform::kDeltaCoded,      Transform::kAscendingCoded,
-    Transform::kMedianCoded,     Transform::kHalvesCoded};
+inline constexpr std::array kTransforms = {Transform::kPlain,
+                                           Transform::kShuffle,
+                                           Transform::kDeltaShuffle,
+                                           Transform::kDeltaPacked,
+                                           Transform::kAscendingPacked,
+                                           Transform::kCoded,
+                                           Transform::kDeltaCoded,
+                                           Transform::kAscendingCoded,
+                                           Transform::kMedianCoded,
+                                           Transform::kHalvesCoded,
+                                           Transform::kScaledHalvesCoded};
+
+/// Whether a transform sees two numbers in each value.
+constexpr bool IsOfHalves(Transform transform) {
+  return transform == Transform::kHalvesCoded ||
+         transform == Transform::kScaledHalvesCoded;
+}
 
 /// Whether values of `width` bytes can be transformed so.
 constexpr bool SuitsWidth(Transform transform, size_t width) {
-  return transform != Transform::kHalvesCoded || width > 1;
+  return !IsOfHalves(transform) || width > 1;
 }
 
 /// Whether the transform is an entropy code, whose bytes no compressor makes

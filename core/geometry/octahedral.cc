@@ -5,7 +5,8 @@
 namespace mapsieve::core {
 namespace {
 
-constexpr double kScale = 32767.0;
+constexpr int kUnusedBits = 4;
+constexpr double kScale = 2047.0;
 
 double SignOf(double v) { return v < 0.0 ? -1.0 : 1.0; }
 
@@ -26,8 +27,8 @@ OctahedralVector EncodeOctahedral(const Vector3& unit) {
   double v = sum > 0.0 ? unit[1] / sum : 0.0;
   if (unit[2] < 0.0) Fold(u, v);
   const auto quantize = [](double x) {
-    return static_cast<uint16_t>(
-        static_cast<int16_t>(std::nearbyint(x * kScale)));
+    return static_cast<uint16_t>(static_cast<int>(std::nearbyint(x * kScale)) *
+                                 (1 << kUnusedBits));
   };
   return static_cast<uint32_t>(quantize(u)) | static_cast<uint32_t>(quantize(v))
                                                   << 16;
@@ -35,7 +36,8 @@ OctahedralVector EncodeOctahedral(const Vector3& unit) {
 
 std::array<float, 3> DecodeOctahedral(OctahedralVector code) {
   const auto coordinate = [](uint32_t half) {
-    return static_cast<double>(static_cast<int16_t>(half)) / kScale;
+    return static_cast<double>(static_cast<int16_t>(half)) /
+           (kScale * (1 << kUnusedBits));
   };
   double u = coordinate(code & 0xffff);
   double v = coordinate(code >> 16);

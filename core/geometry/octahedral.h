@@ -9,9 +9,10 @@
 namespace mapsieve::core {
 
 /// A unit vector in 32 bits: its projection on the octahedron |x|+|y|+|z| = 1,
-/// unfolded to a square, 16 signed bits a side (the low half is the first
-/// coordinate). The angle to the vector encoded is below 0.005 degrees.
-/// Meyer et al., "On floating-point normal vectors", 2010.
+/// unfolded to a square, 12 signed bits a side in the upper bits of 16 (the low
+/// half is the first coordinate). The angle to the vector encoded is below
+/// 0.06 degrees, a hundredth of what noise does to a normal. Meyer et al., "On
+/// floating-point normal vectors", 2010.
 using OctahedralVector = uint32_t;
 
 OctahedralVector EncodeOctahedral(const Vector3& unit);

@@ -180,9 +180,9 @@ TEST(HostileBlock, LyingNumbersAreRefusedByName) {
   ExpectHeadRefused("type of 1 to 10, have 11", [](BlockHead& h) {
     h.columns[3].spec.type = static_cast<ScalarType>(11);
   });
-  ExpectHeadRefused("transform of 0 to 9 in version 2, have 10",
+  ExpectHeadRefused("transform of 0 to 10 in version 2, have 11",
                     [](BlockHead& h) {
-                      h.columns[3].transform = static_cast<Transform>(10);
+                      h.columns[3].transform = static_cast<Transform>(11);
                     });
   ExpectHeadRefused(
       "type of at least 2 bytes for transform 9",

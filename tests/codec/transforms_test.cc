@@ -177,6 +177,33 @@ TEST(Transforms, CodedResidualsAreThoseOfTheFormat) {
   // Low halves 1, 1; high halves 0, 1.
   ExpectCoded(Transform::kHalvesCoded, {1, 0, 1, 1},
               TwoTokens(0, 2, {1, 0, 0, 1}), 2);
+  // The same but for two zero bits below.
+  auto scaled = TwoTokens(0, 2, {1, 0, 0, 1});
+  scaled.insert(scaled.begin(), std::byte{2});
+  ExpectCoded(Transform::kScaledHalvesCoded, {4, 0, 4, 4}, scaled, 2);
+}
+
+TEST(Transforms, ScaledHalvesDoNotPayForZeroBits) {
+  std::mt19937_64 random(5);
+  std::vector<uint64_t> values(1000);
+  for (uint64_t& v : values) v = (random() & 0x0fff'0fff) << 4;
+  const auto bytes = Values(values, 4);
+  // Four bits less for each half.
+  EXPECT_NEAR(
+      static_cast<double>(
+          Transformed(Transform::kHalvesCoded, bytes, 4).size()),
+      static_cast<double>(
+          Transformed(Transform::kScaledHalvesCoded, bytes, 4).size() + 1000),
+      20);
+}
+
+TEST(Transforms, RefuseMoreZeroBitsThanAHalfHas) {
+  auto coded = Transformed(Transform::kScaledHalvesCoded, Values({1, 2}, 2), 2);
+  std::vector<std::byte> back(4);
+  coded[0] = std::byte{8};
+  EXPECT_THAT(InvertTransform(Transform::kScaledHalvesCoded, coded, 2, back),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       HasSubstr("expected fewer than 8 zero bits, have 8")));
 }
 
 TEST(Transforms, EqualResidualsTakeNoBits) {
@@ -220,9 +247,9 @@ TEST(Transforms, RefuseCodedBytesOfAnotherSize) {
 
 TEST(Transforms, RefuseAnUnknownNumber) {
   std::vector<std::byte> values(4);
-  EXPECT_THAT(InvertTransform(static_cast<Transform>(10), values, 4, values),
-              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("transform 10")));
-  EXPECT_TRUE(TransformName(static_cast<Transform>(10)).empty());
+  EXPECT_THAT(InvertTransform(static_cast<Transform>(11), values, 4, values),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("transform 11")));
+  EXPECT_TRUE(TransformName(static_cast<Transform>(11)).empty());
 }
 
 TEST(Transforms, RefuseHalvesOfOneByte) {
