@@ -3,6 +3,7 @@
 #include <thread>
 #include <utility>
 
+#include "core/base/mutex.h"
 #include "core/base/status.h"
 #include "core/codec/points_codec.h"
 
@@ -25,28 +26,35 @@ absl::Status FileBlocks::Rewind() {
 
 absl::StatusOr<std::vector<std::byte>> FileBlocks::NextBlock() {
   const size_t block_points = UploadBlockPoints(reader_->info().attributes);
+  // Workers take turns in reading: one reads while the others encode.
+  const int64_t count = 4 * int64_t{workers_->worker_count()};
   while (ready_.empty()) {
-    std::vector<core::PointCloud> batches;
-    while (batches.size() < static_cast<size_t>(workers_->worker_count())) {
-      MAPSIEVE_ASSIGN_OR_RETURN(core::PointCloud batch,
-                                reader_->ReadBatch(block_points));
-      if (batch.size() == 0) break;
-      batches.push_back(std::move(batch));
-    }
-    if (batches.empty()) return std::vector<std::byte>();
-    std::vector<std::vector<std::byte>> blocks(batches.size());
-    std::vector<core::RefusedCounts> refused(batches.size());
-    MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
-        *workers_, static_cast<int64_t>(batches.size()),
-        [&](int64_t i) -> absl::Status {
-          const auto b = static_cast<size_t>(i);
+    Mutex mutex;
+    size_t read_count = 0;
+    bool is_over = false;
+    std::vector<std::vector<std::byte>> blocks(static_cast<size_t>(count));
+    std::vector<core::RefusedCounts> refused(blocks.size());
+    MAPSIEVE_RETURN_IF_ERROR(
+        TryParallelFor(*workers_, count, [&](int64_t) -> absl::Status {
+          core::PointCloud batch;
+          size_t b = 0;
+          {
+            MutexLock lock(mutex);
+            if (is_over) return absl::OkStatus();
+            is_over = true;
+            MAPSIEVE_ASSIGN_OR_RETURN(batch, reader_->ReadBatch(block_points));
+            if (batch.size() == 0) return absl::OkStatus();
+            is_over = false;
+            b = read_count++;
+          }
           const core::LatticeCloud cloud =
-              core::Quantize(std::move(batches[b]), lattice_, refused[b]);
+              core::Quantize(std::move(batch), lattice_, refused[b]);
           if (cloud.size() == 0) return absl::OkStatus();
           MAPSIEVE_ASSIGN_OR_RETURN(blocks[b], core::EncodePoints(cloud));
           return absl::OkStatus();
         }));
-    for (size_t b = 0; b < batches.size(); ++b) {
+    if (read_count == 0) return std::vector<std::byte>();
+    for (size_t b = 0; b < read_count; ++b) {
       refused_.non_finite += refused[b].non_finite;
       refused_.out_of_lattice += refused[b].out_of_lattice;
       // A batch may have no point that fits.

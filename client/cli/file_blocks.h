@@ -17,7 +17,7 @@
 namespace mapsieve::client {
 
 /// The blocks of a point file on a map's lattice, in file order. One batch for
-/// each processor is in memory at a time.
+/// each processor is in memory at a time, and four blocks.
 class FileBlocks final : public BlockSource {
  public:
   FileBlocks(std::filesystem::path path, ReadOptions options,

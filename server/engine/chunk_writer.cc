@@ -106,41 +106,64 @@ absl::Status ChunkWriter::Write(std::vector<TileCloud> clouds,
                          });
     MAPSIEVE_ASSIGN_OR_RETURN(keeps_order, IsSmallerUnsorted(largest->points));
   }
-  std::vector<absl::StatusOr<std::vector<ChunkRef>>> written(
-      clouds.size(), absl::CancelledError("cancelled"));
-  executor_.ParallelFor(static_cast<int64_t>(clouds.size()), [&](int64_t i) {
-    if (stop.stop_requested()) return;
-    const auto slot = static_cast<size_t>(i);
-    written[slot] = WriteTile(clouds[slot], keeps_order);
-    clouds[slot].points = LatticeCloud();
+  // Tiles differ in size, and a chunk waits for the disk: by chunk, none of
+  // the executor's workers is idle for long.
+  std::vector<std::vector<std::vector<uint32_t>>> rows(clouds.size());
+  executor_.ParallelFor(static_cast<int64_t>(clouds.size()), [&](int64_t n) {
+    const auto i = static_cast<size_t>(n);
+    rows[i] = DivideRows(clouds[i].points, keeps_order);
   });
-  for (const auto& chunks : written) {
-    MAPSIEVE_RETURN_IF_ERROR(chunks.status());
-    chunks_.insert(chunks_.end(), chunks->begin(), chunks->end());
+  struct Part {
+    size_t cloud;
+    size_t part;
+  };
+  std::vector<Part> parts;
+  for (size_t i = 0; i < clouds.size(); ++i) {
+    for (size_t p = 0; p < rows[i].size(); ++p) parts.push_back({i, p});
   }
+  std::vector<ChunkRef> written(parts.size());
+  MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
+      executor_, static_cast<int64_t>(parts.size()),
+      [&](int64_t n) -> absl::Status {
+        if (stop.stop_requested()) return absl::CancelledError("cancelled");
+        const auto [i, p] = parts[static_cast<size_t>(n)];
+        const auto& [tile, points] = clouds[i];
+        const std::vector<uint32_t> of_part = std::move(rows[i][p]);
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            written[static_cast<size_t>(n)],
+            WriteChunk(tile,
+                       of_part.empty() ? points : points.Select(of_part)));
+        return absl::OkStatus();
+      }));
+  chunks_.insert(chunks_.end(), written.begin(), written.end());
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::vector<ChunkRef>> ChunkWriter::WriteTile(
-    const TileCloud& cloud, bool keeps_order) const {
-  std::vector<ChunkRef> chunks;
+std::vector<std::vector<uint32_t>> ChunkWriter::DivideRows(
+    const LatticeCloud& points, bool keeps_order) const {
   const auto chunk_points = static_cast<size_t>(
-      std::clamp(max_chunk_bytes_ / DecodedPointBytes(cloud.points), int64_t{1},
+      std::clamp(max_chunk_bytes_ / DecodedPointBytes(points), int64_t{1},
                  core::kMaxBlockPoints));
-  if (keeps_order && cloud.points.size() <= chunk_points) {
-    MAPSIEVE_ASSIGN_OR_RETURN(ChunkRef chunk,
-                              WriteChunk(cloud.tile, cloud.points));
-    chunks.push_back(std::move(chunk));
-    return chunks;
-  }
-  std::vector<uint32_t> order = core::MortonOrder(cloud.points.positions);
-  for (size_t begin = 0; begin < order.size(); begin += chunk_points) {
-    const std::span rows = std::span(order).subspan(
-        begin, std::min(chunk_points, order.size() - begin));
-    if (keeps_order) std::sort(rows.begin(), rows.end());
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        ChunkRef chunk, WriteChunk(cloud.tile, cloud.points.Select(rows)));
-    chunks.push_back(std::move(chunk));
+  if (keeps_order && points.size() <= chunk_points) return {{}};
+  const std::vector<uint32_t> order = core::MortonOrder(points.positions);
+  std::vector<std::vector<uint32_t>> chunks(
+      PartCount(order.size(), chunk_points));
+  if (keeps_order) {
+    std::vector<uint32_t> chunk_of(order.size());
+    for (size_t i = 0; i < order.size(); ++i) {
+      chunk_of[order[i]] = static_cast<uint32_t>(i / chunk_points);
+    }
+    for (std::vector<uint32_t>& rows : chunks) rows.reserve(chunk_points);
+    for (uint32_t row = 0; row < chunk_of.size(); ++row) {
+      chunks[chunk_of[row]].push_back(row);
+    }
+  } else {
+    for (size_t c = 0; c < chunks.size(); ++c) {
+      const std::span rows = std::span(order).subspan(c * chunk_points);
+      chunks[c].assign(rows.begin(),
+                       rows.begin() + static_cast<std::ptrdiff_t>(
+                                          std::min(chunk_points, rows.size())));
+    }
   }
   return chunks;
 }

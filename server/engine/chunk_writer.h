@@ -58,8 +58,9 @@ class ChunkWriter {
   const std::vector<storage::ChunkRef>& chunks() const { return chunks_; }
 
  private:
-  absl::StatusOr<std::vector<storage::ChunkRef>> WriteTile(
-      const TileCloud& cloud, bool keeps_order) const;
+  /// The rows of each chunk; no rows: all, as they are.
+  std::vector<std::vector<uint32_t>> DivideRows(
+      const core::LatticeCloud& points, bool keeps_order) const;
   absl::StatusOr<storage::ChunkRef> WriteChunk(
       const core::CellKey& tile, const core::LatticeCloud& points) const;
 

@@ -28,44 +28,56 @@ using core::CellKey;
 using core::LatticeCloud;
 using core::LatticePoint;
 
+/// The points of one tile, by the blocks that brought them.
+struct TileParts {
+  CellKey tile;
+  std::vector<LatticeCloud> parts;
+};
+
+/// The points of all parts, which it empties, one part after the other.
+absl::StatusOr<LatticeCloud> Concatenate(std::vector<LatticeCloud> parts) {
+  LatticeCloud all = std::move(parts.front());
+  for (size_t i = 1; i < parts.size(); ++i) {
+    const LatticeCloud part = std::move(parts[i]);
+    MAPSIEVE_RETURN_IF_ERROR(
+        all.attributes.AppendAll(all.size(), part.attributes, part.size()));
+    all.positions.insert(all.positions.end(), part.positions.begin(),
+                         part.positions.end());
+  }
+  return all;
+}
+
 /// Points by tile until they are written.
 class TileBuckets {
  public:
-  /// Estimated memory of all buckets.
+  /// Estimated memory of all buckets, and of what writing them takes.
   int64_t bytes() const { return bytes_; }
 
-  /// Adds the points of `part`, all of them in `tile`.
-  absl::Status Add(const CellKey& tile, const LatticeCloud& part) {
-    LatticeCloud& bucket = buckets_[tile];
-    bytes_ -= BytesOf(bucket);
-    const absl::Status status = bucket.attributes.AppendAll(
-        bucket.size(), part.attributes, part.size());
-    bucket.lattice = part.lattice;
-    if (status.ok()) {
-      bucket.positions.insert(bucket.positions.end(), part.positions.begin(),
-                              part.positions.end());
-    }
-    bytes_ += BytesOf(bucket);
-    return status;
+  /// Adds the points of `part`, all of them in its tile.
+  void Add(TileCloud part) {
+    Bucket& bucket = buckets_[part.tile];
+    bucket.bytes += BytesOf(part.points);
+    bytes_ += BytesOf(part.points);
+    bucket.parts.push_back(std::move(part.points));
   }
 
   /// Takes the fullest buckets until at most `target_bytes` are left.
-  std::vector<TileCloud> TakeFullest(int64_t target_bytes) {
+  std::vector<TileParts> TakeFullest(int64_t target_bytes) {
     std::vector<std::pair<int64_t, CellKey>> by_size;
     by_size.reserve(buckets_.size());
     for (const auto& [key, bucket] : buckets_) {
-      by_size.emplace_back(BytesOf(bucket), key);
+      by_size.emplace_back(bucket.bytes, key);
     }
     // Ties by key: the same upload makes the same chunks.
     std::sort(by_size.begin(), by_size.end(), [](const auto& a, const auto& b) {
       if (a.first != b.first) return a.first > b.first;
       return core::CellKeyLess()(a.second, b.second);
     });
-    std::vector<TileCloud> taken;
+    std::vector<TileParts> taken;
     for (const auto& [size, key] : by_size) {
       if (bytes_ <= target_bytes) break;
       const auto bucket = buckets_.find(key);
-      taken.push_back({key, std::move(bucket->second)});
+      taken.push_back({key, std::move(bucket->second.parts)});
       buckets_.erase(bucket);
       bytes_ -= size;
     }
@@ -73,16 +85,20 @@ class TileBuckets {
   }
 
  private:
-  /// Vectors that grow hold up to twice what they need; nodes and columns cost
-  /// something of their own.
-  static int64_t BytesOf(const LatticeCloud& bucket) {
-    if (bucket.size() == 0) return 0;
+  struct Bucket {
+    std::vector<LatticeCloud> parts;
+    int64_t bytes = 0;
+  };
+
+  /// Parts are concatenated, and that may hold up to twice what it needs; nodes
+  /// and columns cost something of their own.
+  static int64_t BytesOf(const LatticeCloud& part) {
     return 256 +
-           2 * static_cast<int64_t>(bucket.size()) * DecodedPointBytes(bucket) +
-           128 * static_cast<int64_t>(bucket.attributes.columns().size());
+           2 * static_cast<int64_t>(part.size()) * DecodedPointBytes(part) +
+           128 * static_cast<int64_t>(part.attributes.columns().size());
   }
 
-  std::unordered_map<CellKey, LatticeCloud, core::CellKeyHash> buckets_;
+  std::unordered_map<CellKey, Bucket, core::CellKeyHash> buckets_;
   int64_t bytes_ = 0;
 };
 
@@ -242,9 +258,9 @@ class Ingest {
           parts[static_cast<size_t>(i)] = SplitByTile(*points);
           return absl::OkStatus();
         }));
-    for (const std::vector<TileCloud>& of_block : parts) {
-      for (const TileCloud& part : of_block) {
-        MAPSIEVE_RETURN_IF_ERROR(buckets_.Add(part.tile, part.points));
+    for (std::vector<TileCloud>& of_block : parts) {
+      for (TileCloud& part : of_block) {
+        buckets_.Add(std::move(part));
         if (buckets_.bytes() > limits_.bucket_bytes) {
           MAPSIEVE_RETURN_IF_ERROR(Flush(limits_.bucket_bytes / 2));
         }
@@ -275,14 +291,24 @@ class Ingest {
   }
 
   absl::Status Flush(int64_t target_bytes) {
-    std::vector<TileCloud> clouds = buckets_.TakeFullest(target_bytes);
-    if (static_cast<int64_t>(chunks().size() + clouds.size()) >
+    std::vector<TileParts> tiles = buckets_.TakeFullest(target_bytes);
+    if (static_cast<int64_t>(chunks().size() + tiles.size()) >
         limits_.chunk_count) {
       return absl::InvalidArgumentError(absl::StrCat(
           "the points lie in so many tiles of 2^", map_.spec.tile_level,
           " steps that they make more than ", limits_.chunk_count,
           " chunks; upload them in parts, or to a map with larger tiles"));
     }
+    std::vector<TileCloud> clouds(tiles.size());
+    MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
+        *context_.executor, static_cast<int64_t>(tiles.size()),
+        [&](int64_t n) -> absl::Status {
+          const auto i = static_cast<size_t>(n);
+          clouds[i].tile = tiles[i].tile;
+          MAPSIEVE_ASSIGN_OR_RETURN(clouds[i].points,
+                                    Concatenate(std::move(tiles[i].parts)));
+          return absl::OkStatus();
+        }));
     return chunks_.Write(std::move(clouds), context_.stop);
   }
 
