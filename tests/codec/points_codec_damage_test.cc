@@ -44,12 +44,12 @@ std::vector<std::vector<std::byte>> SmallBlocks() {
     used.insert(head.columns[0].spec.name +
                 std::string(ScalarTypeName(head.columns[0].spec.type)));
   }
-  EXPECT_THAT(used,
-              ::testing::UnorderedElementsAre(
-                  "plain", "shuffle", "delta-shuffle", "delta-packed",
-                  "ascending-packed", "coded", "delta-coded", "ascending-coded",
-                  "median-coded", "halves-coded", "none", "lz4", "zstd",
-                  "missing", "xint32", "xint64", "mortonuint64"));
+  EXPECT_THAT(
+      used, ::testing::UnorderedElementsAre(
+                "plain", "shuffle", "delta-shuffle", "delta-packed",
+                "ascending-packed", "coded", "delta-coded", "ascending-coded",
+                "median-coded", "halves-coded", "scaled-halves-coded", "none",
+                "lz4", "zstd", "missing", "xint32", "xint64", "mortonuint64"));
   return blocks;
 }
 

@@ -46,10 +46,14 @@ void ExpectRoundTrip(const T& record, const std::string& bytes,
   }
   EXPECT_THAT(parse(bytes + "x"), StatusIs(absl::StatusCode::kDataLoss,
                                            HasSubstr("1 bytes too many")));
-  std::string newer = bytes;
-  newer[0] = 2;
-  EXPECT_THAT(parse(newer), StatusIs(absl::StatusCode::kDataLoss,
-                                     HasSubstr("version 2, expected 1")));
+  std::string other = bytes;
+  other[0] = 3;
+  EXPECT_THAT(parse(other), StatusIs(absl::StatusCode::kDataLoss,
+                                     HasSubstr("version 3, expected 1 to 2")));
+  // The bytes differ, so a product of these options is made anew.
+  other[0] = 1;
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const T older, parse(other));
+  EXPECT_EQ(older, record);
 }
 
 constexpr core::SpdfOptions kOptions = {.neighbor_count = 33,
