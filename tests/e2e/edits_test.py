@@ -5,15 +5,14 @@ usage: edits_test.py BIN_DIR
 """
 
 import csv
-import json
 import pathlib
 import signal
-import subprocess
 import sys
 import tempfile
 import unittest
 
-BIN = pathlib.Path(sys.argv[1])
+from programs import Server, mapsieve
+
 STEP = 0.001
 
 
@@ -22,12 +21,10 @@ class Edits(unittest.TestCase):
     def setUpClass(cls):
         cls.folder = tempfile.TemporaryDirectory()
         cls.work = pathlib.Path(cls.folder.name)
-        cls.start_server()
+        cls.server = Server(cls.work / "data")
         cls.source = cls.work / "scan.csv"
-        subprocess.run([BIN / "mapsieve", "simulate", cls.work / "scan.las",
-                        "--points", "40000"], check=True, capture_output=True)
-        subprocess.run([BIN / "mapsieve", "convert", cls.work / "scan.las",
-                        cls.source], check=True, capture_output=True)
+        mapsieve("simulate", cls.work / "scan.las", "--points", 40000)
+        mapsieve("convert", cls.work / "scan.las", cls.source)
         with open(cls.source, newline="") as file:
             cls.header, *cls.points = list(csv.reader(file))
         middle = sorted(cls.points, key=lambda p: float(p[0]))[20000]
@@ -35,36 +32,16 @@ class Edits(unittest.TestCase):
         cls.radius = 12.0
 
     @classmethod
-    def start_server(cls):
-        cls.server = subprocess.Popen(
-            [BIN / "mapsieved", "--data", cls.work / "data", "--listen",
-             "127.0.0.1:0"],
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        cls.address = cls.server.stdout.readline().split()[-1]
-
-    @classmethod
-    def stop_server(cls, with_signal):
-        cls.server.send_signal(with_signal)
-        cls.server.wait(timeout=60)
-        cls.server.stdout.close()
-
-    @classmethod
     def tearDownClass(cls):
-        cls.stop_server(signal.SIGTERM)
+        code = cls.server.stop()
         cls.folder.cleanup()
-
-    def run_command(self, *arguments):
-        return subprocess.run(
-            [BIN / "mapsieve", "--server", self.address, *map(str, arguments)],
-            capture_output=True, text=True, timeout=600)
+        assert code == 0, f"the server exited with {code} on SIGTERM"
 
     def mapsieve(self, *arguments):
-        result = self.run_command("--json", *arguments)
-        self.assertEqual(result.returncode, 0, f"{arguments}: {result.stderr}")
-        return json.loads(result.stdout)
+        return self.server.mapsieve(*arguments)
 
     def fails(self, *arguments, status=1, message=""):
-        result = self.run_command(*arguments)
+        result = self.server.run_command(*arguments)
         self.assertEqual(result.returncode, status,
                          f"{arguments}: {result.stdout} {result.stderr}")
         self.assertIn(message, result.stderr)
@@ -111,8 +88,8 @@ class Edits(unittest.TestCase):
         self.assertEqual(again["removed_point_count"], 0)
         self.assertEqual(again["revision"], deleted["revision"])
 
-        self.stop_server(signal.SIGKILL)
-        self.start_server()
+        self.server.stop(signal.SIGKILL)
+        self.server.start()
         self.mapsieve("process", "edited")
         self.make_map("scratch", rest)
         self.assertEqual(self.answer("edited"), self.answer("scratch"))
@@ -138,7 +115,7 @@ class Edits(unittest.TestCase):
         self.assertEqual(after["revisions"], revisions)
         self.assertEqual(revisions[2]["sphere"], [*self.center, self.radius])
         self.assertEqual(revisions[1]["options"]["rho"], 0.2)
-        plain = self.run_command("info", "edited").stdout
+        plain = self.server.run_command("info", "edited").stdout
         self.assertIn("delete-region", plain)
         self.assertIn("tile edge", plain)
 

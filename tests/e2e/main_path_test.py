@@ -14,32 +14,10 @@ import sys
 import tempfile
 import unittest
 
-BIN = pathlib.Path(sys.argv[1])
+from programs import BIN, Server, run_command
+
 DATA = pathlib.Path(sys.argv[2]) if len(sys.argv) > 2 else None
 STEP = 0.001
-
-
-class Server:
-    """A mapsieved on a free port with a data directory of its own."""
-
-    def __init__(self, data):
-        self.data = data
-        self.start()
-
-    def start(self):
-        self.process = subprocess.Popen(
-            [BIN / "mapsieved", "--data", self.data, "--listen", "127.0.0.1:0"],
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        line = self.process.stdout.readline()
-        prefix = "mapsieved listening on "
-        assert line.startswith(prefix), line
-        self.address = line[len(prefix):].strip()
-
-    def stop(self, with_signal=signal.SIGTERM):
-        self.process.send_signal(with_signal)
-        code = self.process.wait(timeout=60)
-        self.process.stdout.close()
-        return code
 
 
 class MainPath(unittest.TestCase):
@@ -56,15 +34,10 @@ class MainPath(unittest.TestCase):
         assert code == 0, f"the server exited with {code} on SIGTERM"
 
     def run_command(self, *arguments):
-        return subprocess.run(
-            [BIN / "mapsieve", "--server", self.server.address, "--json",
-             *map(str, arguments)],
-            capture_output=True, text=True, timeout=600)
+        return self.server.run_command("--json", *arguments)
 
     def mapsieve(self, *arguments):
-        result = self.run_command(*arguments)
-        self.assertEqual(result.returncode, 0, f"{arguments}: {result.stderr}")
-        return json.loads(result.stdout)
+        return self.server.mapsieve(*arguments)
 
     def fails(self, *arguments, status=1, message=""):
         result = self.run_command(*arguments)
@@ -293,9 +266,7 @@ class MainPath(unittest.TestCase):
 
 class WithoutServer(unittest.TestCase):
     def test_unreachable_server_is_named(self):
-        result = subprocess.run(
-            [BIN / "mapsieve", "--server", "127.0.0.1:1", "list"],
-            capture_output=True, text=True, timeout=60)
+        result = run_command("--server", "127.0.0.1:1", "list", timeout=60)
         self.assertEqual(result.returncode, 1)
         self.assertIn("127.0.0.1:1", result.stderr)
 

@@ -13,7 +13,8 @@ import tempfile
 import unittest
 import xml.etree.ElementTree
 
-BIN = pathlib.Path(sys.argv[1])
+from programs import BIN, mapsieve
+
 PICTURES = ("density", "saliencies")
 
 
@@ -23,9 +24,7 @@ class SampleReport(unittest.TestCase):
         cls.folder = tempfile.TemporaryDirectory()
         cls.work = pathlib.Path(cls.folder.name)
         cls.source = cls.work / "campus.las"
-        subprocess.run(
-            [BIN / "mapsieve", "simulate", cls.source, "--points", "60000"],
-            check=True, capture_output=True, timeout=300)
+        mapsieve("simulate", cls.source, "--points", 60000)
 
     @classmethod
     def tearDownClass(cls):

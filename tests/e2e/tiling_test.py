@@ -9,18 +9,18 @@ to the last digit, that of the filter in memory; `verify --tiling` agrees. With
 --large the clouds are so large that the server filters them in several units.
 """
 
-import json
 import pathlib
 import random
-import subprocess
+import signal
 import sys
 import tempfile
 import time
 import unittest
 
+from programs import Server, answer_of, lines_of, mapsieve
+
 ARGUMENTS = [a for a in sys.argv[1:] if a != "--large"]
 LARGE = "--large" in sys.argv
-BIN = pathlib.Path(ARGUMENTS[0])
 DATA = pathlib.Path(ARGUMENTS[1]) if len(ARGUMENTS) > 1 else None
 
 # Tile edge in metres, threads, uploads, points in another order.
@@ -28,21 +28,6 @@ VARIANTS = ((8, 1, 1, False), (16, 2, 7, True), (32, 8, 1, True),
             (64, 2, 50, True))
 RULES = ("paper", "quota")
 HEADER = "x,y,z"
-
-
-def lines_of(path):
-    header, *lines = path.read_text().splitlines()
-    return header, lines
-
-
-def answer_of(path):
-    """Names of the columns and all rows, in an order of their own."""
-    header, lines = lines_of(path)
-    names = header.split(",")
-    order = sorted(range(len(names)), key=names.__getitem__)
-    rows = sorted(tuple(values[i] for i in order)
-                  for values in (line.split(",") for line in lines))
-    return sorted(names), rows
 
 
 def clump(random_numbers, centre, size, spread):
@@ -75,37 +60,6 @@ def hostile_clouds():
                         4000, 900)]
 
 
-class Server:
-    def __init__(self, data, threads, memory):
-        self.arguments = ["--data", data, "--memory", memory, "--threads",
-                          str(threads)]
-        self.start()
-
-    def start(self):
-        self.process = subprocess.Popen(
-            [BIN / "mapsieved", "--listen", "127.0.0.1:0", *self.arguments],
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        self.address = self.process.stdout.readline().split()[-1]
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.process.terminate()
-        assert self.process.wait(timeout=60) == 0
-        self.process.stdout.close()
-
-    def run(self, *arguments):
-        return run("--server", self.address, *arguments)
-
-
-def run(*arguments):
-    result = subprocess.run([BIN / "mapsieve", "--json", *map(str, arguments)],
-                            capture_output=True, text=True, timeout=3600)
-    assert result.returncode == 0, f"{arguments}: {result.stderr}"
-    return json.loads(result.stdout)
-
-
 class Tiling(unittest.TestCase):
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
@@ -134,35 +88,37 @@ class Tiling(unittest.TestCase):
         expected = {}
         for rule in RULES:
             out = self.work / f"{rule}.csv"
-            run("sample", source, "--rule", rule, *options, "-o", out)
+            mapsieve("sample", source, "--rule", rule, *options, "-o", out)
             expected[rule] = answer_of(out)
         for edge, threads, uploads, shuffled in variants:
             data = tempfile.mkdtemp(dir=self.work)
-            with Server(data, threads, memory) as server:
-                server.run("create", "m", "--tile-edge", edge)
-                server.run("upload", "m",
-                           *self.pieces(source, uploads, shuffled))
+            with Server(data, "--threads", threads, "--memory",
+                        memory) as server:
+                server.mapsieve("create", "m", "--tile-edge", edge)
+                server.mapsieve("upload", "m",
+                                *self.pieces(source, uploads, shuffled))
                 for rule in RULES:
                     with self.subTest(edge=edge, rule=rule):
-                        server.run("process", "m", "--rule", rule, *options)
+                        server.mapsieve("process", "m", "--rule", rule,
+                                        *options)
                         answer = self.work / "answer.csv"
-                        server.run("query", "m", "-o", answer)
+                        server.mapsieve("query", "m", "-o", answer)
                         names, rows = answer_of(answer)
                         self.assertEqual(names, expected[rule][0])
                         # Not assertEqual: its message would take hours.
                         self.assertTrue(rows == expected[rule][1])
-                        report = server.run("verify", "m", "--tiling",
-                                            "--tiles", 6)
+                        report = server.mapsieve("verify", "m", "--tiling",
+                                                 "--tiles", 6)
                         self.assertEqual(report["differing_tiles"], [])
 
     def check_file(self, path, options):
         source = self.work / "input.csv"
-        run("convert", path, source)
+        mapsieve("convert", path, source)
         self.check(source, options)
 
     def test_campus(self):
         path = self.work / "campus.las"
-        run("simulate", path, "--points", 2_500_000 if LARGE else 40_000)
+        mapsieve("simulate", path, "--points", 2_500_000 if LARGE else 40_000)
         self.check_file(path, ("--rho", "0.2"))
 
     def test_real_maps(self):
@@ -189,26 +145,26 @@ class Tiling(unittest.TestCase):
     @unittest.skipIf(not LARGE, "in the run with --large")
     def test_killed_run_goes_on(self):
         source = self.work / "campus.las"
-        run("simulate", source, "--points", 3_000_000)
-        run("sample", source, "--rho", "0.2", "-o", self.work / "whole.csv")
+        mapsieve("simulate", source, "--points", 3_000_000)
+        mapsieve("sample", source, "--rho", "0.2", "-o",
+                 self.work / "whole.csv")
         data = self.work / "data"
-        with Server(data, 2, "256MiB") as server:
-            server.run("create", "m")
-            server.run("upload", "m", source)
-            server.run("process", "m", "--rho", "0.2", "--no-wait")
+        with Server(data, "--threads", 2, "--memory", "256MiB") as server:
+            server.mapsieve("create", "m")
+            server.mapsieve("upload", "m", source)
+            server.mapsieve("process", "m", "--rho", "0.2", "--no-wait")
             log, = self.wait_for(lambda: [
                 path for path in (data / "runs").glob("*/log")
                 if path.stat().st_size > 20_000])
-            server.process.kill()
-            server.process.wait()
+            server.stop(signal.SIGKILL)
             finished = log.read_bytes()
             server.start()
             # The log only grows: no finished visit is made again.
             self.wait_for(lambda: log.stat().st_size > len(finished))
             self.assertTrue(log.read_bytes().startswith(finished))
             self.wait_for(lambda: not log.exists())
-            self.wait_for(lambda: server.run("info", "m")["point_count"])
-            server.run("query", "m", "-o", self.work / "answer.csv")
+            self.wait_for(lambda: server.mapsieve("info", "m")["point_count"])
+            server.mapsieve("query", "m", "-o", self.work / "answer.csv")
         self.assertTrue(answer_of(self.work / "answer.csv") ==
                         answer_of(self.work / "whole.csv"))
 

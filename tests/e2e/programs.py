@@ -1,0 +1,106 @@
+"""What end-to-end tests share: the programs as processes, files of points.
+
+The first argument of such a test is the folder of the programs.
+"""
+
+import json
+import pathlib
+import signal
+import struct
+import subprocess
+import sys
+
+BIN = pathlib.Path(sys.argv[1])
+
+
+def run_command(*arguments, timeout=3600, stderr=subprocess.PIPE):
+    """Runs `mapsieve`; one that takes longer than `timeout` s is killed."""
+    return subprocess.run([BIN / "mapsieve", *map(str, arguments)],
+                          stdout=subprocess.PIPE, stderr=stderr, text=True,
+                          timeout=timeout)
+
+
+def mapsieve(*arguments):
+    """What a command that succeeds prints."""
+    result = run_command("--json", *arguments)
+    assert result.returncode == 0, f"{arguments}: {result.stderr}"
+    return json.loads(result.stdout)
+
+
+class Server:
+    """A mapsieved on a free port; in a `with` it is stopped at the end.
+
+    Its log goes to a file beside the data directory.
+    """
+
+    def __init__(self, data, *arguments):
+        self.arguments = ["--data", data, *map(str, arguments)]
+        self.log = pathlib.Path(f"{data}.log")
+        self.start()
+
+    def launch(self):
+        """Starts the process and does not wait until it serves."""
+        with open(self.log, "ab") as log:
+            self.process = subprocess.Popen(
+                [BIN / "mapsieved", "--listen", "127.0.0.1:0",
+                 *self.arguments],
+                stdout=subprocess.PIPE, stderr=log, text=True)
+
+    def start(self):
+        self.launch()
+        line = self.process.stdout.readline()
+        prefix = "mapsieved listening on "
+        assert line.startswith(prefix), line or self.log.read_text()[-500:]
+        self.address = line[len(prefix):].strip()
+
+    def stop(self, with_signal=signal.SIGTERM):
+        """Returns the exit status."""
+        self.process.send_signal(with_signal)
+        code = self.process.wait(timeout=60)
+        self.process.stdout.close()
+        return code
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        code = self.stop()
+        assert code == 0, f"the server exited with {code} on SIGTERM"
+
+    def run_command(self, *arguments, **options):
+        return run_command("--server", self.address, *arguments, **options)
+
+    def mapsieve(self, *arguments):
+        return mapsieve("--server", self.address, *arguments)
+
+
+def lines_of(path):
+    """The head line of a CSV file, and the others."""
+    header, *lines = path.read_text().splitlines()
+    return header, lines
+
+
+def answer_of(path):
+    """Names of the columns and all rows, in an order of their own."""
+    header, lines = lines_of(path)
+    names = header.split(",")
+    order = sorted(range(len(names)), key=names.__getitem__)
+    rows = sorted(tuple(values[i] for i in order)
+                  for values in (line.split(",") for line in lines))
+    return sorted(names), rows
+
+
+def write_random_points(path, point_count, numbers):
+    """A PLY file in a cube of 2 m, about 260 bytes a point once uploaded."""
+    words = 64
+    head = "\n".join([
+        "ply", "format binary_little_endian 1.0",
+        f"element vertex {point_count}",
+        *(f"property float {axis}" for axis in "xyz"),
+        *(f"property uint word{i}" for i in range(words)), "end_header\n"])
+    with open(path, "wb") as file:
+        file.write(head.encode())
+        for _ in range(point_count):
+            file.write(struct.pack("<3f", *(numbers.uniform(0, 2)
+                                            for _ in range(3))))
+            file.write(numbers.randbytes(4 * words))
