@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <initializer_list>
 #include <string>
 #include <thread>
 #include <utility>
@@ -24,6 +25,7 @@
 #include "server/rpc/reactors.h"
 #include "server/rpc/upload_service.h"
 #include "server/rpc/worker_pool.h"
+#include "server/space_watch.h"
 #include "spdlog/logger.h"
 
 namespace mapsieve::rpc {
@@ -69,7 +71,8 @@ class GrpcServer final : public Server {
  public:
   GrpcServer(const ServerOptions& options, spdlog::logger& logger,
              std::unique_ptr<engine::Engine> engine)
-      : engine_(std::move(engine)),
+      : logger_(logger),
+        engine_(std::move(engine)),
         unary_workers_(kUnaryWorkers),
         stream_workers_(std::max(kMinStreamWorkers, ThreadCount(options))),
         calls_{&unary_workers_, &stream_workers_, &admission_,
@@ -113,7 +116,15 @@ class GrpcServer final : public Server {
                        ": is the port taken, the address of this machine?"));
     }
     address_.port = port;
-    SetHealthy();
+    SetHealth({v1::MapService::service_full_name(),
+               v1::UploadService::service_full_name(),
+               v1::ProcessingService::service_full_name(),
+               v1::QueryService::service_full_name(),
+               v1::Operations::service_full_name()},
+              true);
+    space_watch_ = std::make_unique<SpaceWatch>(
+        [this] { return engine_->CheckSpace(); },
+        [this](const absl::Status& space) { ReportSpace(space); });
     return absl::OkStatus();
   }
 
@@ -122,6 +133,7 @@ class GrpcServer final : public Server {
   void Shutdown(absl::Duration grace) override {
     if (shut_down_.exchange(true) || server_ == nullptr) return;
     const absl::Time deadline = absl::Now() + grace;
+    space_watch_.reset();
     server_->GetHealthCheckService()->Shutdown();
     admission_.Drain();
     engine_->Shutdown();
@@ -137,20 +149,26 @@ class GrpcServer final : public Server {
     return {&maps_, &uploads_, &processing_, &queries_, &operations_};
   }
 
-  void SetHealthy() {
-    grpc::HealthCheckServiceInterface& health =
-        *server_->GetHealthCheckService();
-    for (const char* name : {v1::MapService::service_full_name(),
-                             v1::UploadService::service_full_name(),
-                             v1::ProcessingService::service_full_name(),
-                             v1::QueryService::service_full_name(),
-                             v1::Operations::service_full_name()}) {
-      health.SetServingStatus(name, true);
+  void SetHealth(std::initializer_list<const char*> services, bool is_serving) {
+    for (const char* service : services) {
+      server_->GetHealthCheckService()->SetServingStatus(service, is_serving);
     }
+  }
+
+  void ReportSpace(const absl::Status& space) {
+    if (space.ok()) {
+      logger_.info("the disk has space again: uploads are taken");
+    } else {
+      logger_.warn("uploads and processing are refused: {}", space.ToString());
+    }
+    SetHealth({v1::UploadService::service_full_name(),
+               v1::ProcessingService::service_full_name()},
+              space.ok());
   }
 
   // Members go in reverse order: first the calls, then the workers that they
   // need to end, then the engine.
+  spdlog::logger& logger_;
   std::unique_ptr<engine::Engine> engine_;
   Admission admission_;
   WorkerPool unary_workers_;
@@ -164,19 +182,24 @@ class GrpcServer final : public Server {
   ListenAddress address_;
   std::atomic<bool> shut_down_ = false;
   std::unique_ptr<grpc::Server> server_;
+  // Null while nothing is served.
+  std::unique_ptr<SpaceWatch> space_watch_;
 };
 
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(
-    const ServerOptions& options, spdlog::logger& logger) {
+    const ServerOptions& options, spdlog::logger& logger,
+    storage::FileSystem* file_system) {
   MAPSIEVE_RETURN_IF_ERROR(options.Validate());
-  MAPSIEVE_ASSIGN_OR_RETURN(auto engine,
-                            engine::Engine::Open({
-                                .data_dir = options.data_dir,
-                                .memory_bytes = options.memory_bytes,
-                                .worker_count = ThreadCount(options),
-                            }));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      auto engine, engine::Engine::Open({
+                       .data_dir = options.data_dir,
+                       .memory_bytes = options.memory_bytes,
+                       .worker_count = ThreadCount(options),
+                       .file_system = file_system,
+                       .kept_revision_count = options.kept_revision_count,
+                   }));
   auto server =
       std::make_unique<GrpcServer>(options, logger, std::move(engine));
   MAPSIEVE_RETURN_IF_ERROR(server->Listen(options));

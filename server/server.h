@@ -11,18 +11,27 @@ namespace spdlog {
 class logger;
 }  // namespace spdlog
 
+namespace mapsieve::storage {
+class FileSystem;
+}  // namespace mapsieve::storage
+
 namespace mapsieve::rpc {
 
 /// A server that serves: the services of mapsieve.v1, health and reflection on
-/// one port, over the maps of one data directory. Thread-safe.
+/// one port, over the maps of one data directory. While the disk has no space
+/// for uploads, health has UploadService and ProcessingService NOT_SERVING, and
+/// the rest SERVING, the server as a whole ("") too. Thread-safe.
 class Server {
  public:
   /// Opens the data directory and begins to serve. `logger` outlives the
-  /// server; it hears of failed calls, and at level debug of all.
+  /// server; it hears of failed calls, of a disk that is full or is not any
+  /// more, and at level debug of all calls. `file_system`: where the data
+  /// directory is, outlives the server; null: that of the operating system.
   /// kInvalidArgument: `options`; kUnavailable: the address cannot be listened
   /// on; the errors of engine::Engine::Open.
   static absl::StatusOr<std::unique_ptr<Server>> Start(
-      const ServerOptions& options, spdlog::logger& logger);
+      const ServerOptions& options, spdlog::logger& logger,
+      storage::FileSystem* file_system = nullptr);
 
   /// Shutdown without grace.
   virtual ~Server() = default;

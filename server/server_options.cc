@@ -85,6 +85,15 @@ absl::Status SetThreads(std::string_view text, ServerOptions& options) {
   return absl::OkStatus();
 }
 
+absl::Status SetKeptRevisions(std::string_view text, ServerOptions& options) {
+  int64_t count = 0;
+  if (!ParseNumber(text, count) || count < 0) {
+    return Wrong("0 (all) or a number of revisions", text);
+  }
+  options.kept_revision_count = count;
+  return absl::OkStatus();
+}
+
 absl::Status SetInsecure(std::string_view text, ServerOptions& options) {
   if (text != "true" && text != "false") return Wrong("true or false", text);
   options.insecure = text == "true";
@@ -110,6 +119,10 @@ constexpr ServerSetting kSettings[] = {
      SetMemory},
     {"threads", "N",
      "threads of the filter (default 0: one for each processor)", SetThreads},
+    {"keep-revisions", "N",
+     "newest revisions of each map to keep; older ones expire, but those that "
+     "kept ones answer from (default 0: keep all)",
+     SetKeptRevisions},
     {"insecure", nullptr,
      "allow --listen on an address that other machines reach: the service "
      "neither encrypts nor asks who calls",

@@ -36,6 +36,8 @@ struct ServerOptions {
   int64_t memory_bytes = int64_t{2} << 30;
   /// Threads of the filter, 1 to 1024. 0: one for each processor.
   int thread_count = 0;
+  /// Newest revisions of each map that are kept; 0: all.
+  int64_t kept_revision_count = 0;
   /// Serve other machines, although the service neither encrypts nor asks who
   /// calls.
   bool insecure = false;

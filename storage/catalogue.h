@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <set>
 #include <span>
 #include <string>
 #include <vector>
@@ -98,12 +99,16 @@ class Catalogue {
   /// does not share with the newest revision get new references. If the newest
   /// revision is `number` or a rollback to it, nothing is made and that one is
   /// returned. kNotFound: the map (or it is deleted); kOutOfRange: the
-  /// revision. Cost: all references that the map ever had.
+  /// revision, or it is expired. Cost: all references that the map ever had.
   virtual absl::StatusOr<RevisionRecord> RollBack(const std::string& map_uid,
                                                   int64_t number) = 0;
-  /// kNotFound: the map; kOutOfRange: the revision.
+  /// Also of an expired one. kNotFound: the map; kOutOfRange: the revision.
   virtual absl::StatusOr<RevisionRecord> GetRevision(const std::string& map_uid,
                                                      int64_t number) const = 0;
+  /// The same, and kOutOfRange, naming the oldest one that is kept, if it is
+  /// expired.
+  virtual absl::StatusOr<RevisionRecord> GetKeptRevision(
+      const std::string& map_uid, int64_t number) const = 0;
   /// Up to `max_count` revisions, newest first, those below `before`; 0: from
   /// the newest. kNotFound.
   virtual absl::StatusOr<std::vector<RevisionRecord>> ListRevisions(
@@ -145,6 +150,27 @@ class Catalogue {
       const std::string& map_uid, int64_t revision, int64_t other,
       ChunkKind kind, const std::optional<core::CellKey>& after,
       int64_t max_count) const = 0;
+
+  /// Expires the revisions of a map but the newest `kept_count` (at least 1)
+  /// and those that made the products of these; returns how many it expired.
+  /// A revision never becomes unexpired. Its record stays, and what was told of
+  /// it: rollbacks and uploads find the history of a map whole. kNotFound.
+  virtual absl::StatusOr<int64_t> ExpireRevisions(const std::string& map_uid,
+                                                  int64_t kept_count) = 0;
+  /// Forgets some of the references that belong to expired revisions only, and
+  /// returns their blobs; nothing if there are none left. Revisions that are
+  /// `pinned`, and those that made the products of these, keep theirs. Called
+  /// by Store, which knows its readers. kNotFound; kOutOfRange: a pinned
+  /// revision.
+  virtual absl::StatusOr<std::vector<BlobId>> ForgetExpired(
+      const std::string& map_uid, const std::set<int64_t>& pinned) = 0;
+  /// Bytes of the blobs that the revisions of a map refer to, but neither its
+  /// newest one, the one that made the product of that, nor another map: what
+  /// expiring all but the newest revision makes garbage. An estimate if the map
+  /// changes meanwhile. kNotFound. Cost: a look-up for each reference that the
+  /// newest revision lacks, in several transactions.
+  virtual absl::StatusOr<int64_t> MeasureReclaimable(
+      const std::string& map_uid) const = 0;
 
   /// For each id whether any revision of any map, deleted ones that are not
   /// purged included, refers to it.

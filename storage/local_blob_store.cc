@@ -58,7 +58,7 @@ class LocalBlobStore final : public BlobStore {
       MAPSIEVE_RETURN_IF_ERROR(file_system_.SyncDirectory(FolderOf(id)));
       return id;
     }
-    MAPSIEVE_RETURN_IF_ERROR(reserve_.Check(size));
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto room, reserve_.Take(size));
     MAPSIEVE_RETURN_IF_ERROR(MakeFolder(FolderName(id)));
     const std::string temporary = absl::StrCat(
         directory_, "/", kTemporaryFolder, "/", temporary_count_++);

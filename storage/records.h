@@ -40,6 +40,8 @@ struct MapRecord {
   std::string uid;
   /// Grows by one with every commit; 1 is the empty map of the creation.
   int64_t newest_revision = 0;
+  /// The oldest one that is not expired.
+  int64_t oldest_revision = 0;
   absl::Time create_time;
   /// Of the newest revision.
   absl::Time update_time;
@@ -128,6 +130,8 @@ struct RevisionRecord {
   int64_t processed_revision = 0;
   /// Of a rollback, the revision that it equals; else 0.
   int64_t restored_revision = 0;
+  /// Its chunks are given up: nobody can begin to read it any more.
+  bool is_expired = false;
 };
 
 enum class ChunkKind : uint8_t {

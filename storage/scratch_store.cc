@@ -56,20 +56,21 @@ Scratch::~Scratch() {
   file_system_.RemoveTree(directory_).IgnoreError();
 }
 
-absl::Status Scratch::CheckWrite(const std::string& name, int64_t size) const {
+absl::StatusOr<SpaceReserve::Claim> Scratch::RoomFor(const std::string& name,
+                                                     int64_t size) const {
   MAPSIEVE_RETURN_IF_ERROR(CheckName(name));
   if (size > kMaxBytes) {
     return absl::InvalidArgumentError(absl::StrCat("scratch ", name, " of ",
                                                    size, " bytes: at most ",
                                                    kMaxBytes, " are kept"));
   }
-  return reserve_.Check(size);
+  return reserve_.Take(size);
 }
 
 absl::Status Scratch::Write(const std::string& name,
                             std::span<const std::byte> bytes) {
   const auto size = static_cast<int64_t>(bytes.size());
-  MAPSIEVE_RETURN_IF_ERROR(CheckWrite(name, size));
+  MAPSIEVE_ASSIGN_OR_RETURN(const auto room, RoomFor(name, size));
   MAPSIEVE_ASSIGN_OR_RETURN(
       const auto file,
       file_system_.Open(JoinPath(directory_, name), OpenMode::kCreateIfAbsent));
@@ -79,8 +80,8 @@ absl::Status Scratch::Write(const std::string& name,
 
 absl::Status Scratch::Append(const std::string& name,
                              std::span<const std::byte> bytes) {
-  MAPSIEVE_RETURN_IF_ERROR(
-      CheckWrite(name, static_cast<int64_t>(bytes.size())));
+  MAPSIEVE_ASSIGN_OR_RETURN(const auto room,
+                            RoomFor(name, static_cast<int64_t>(bytes.size())));
   MAPSIEVE_ASSIGN_OR_RETURN(
       const auto file,
       file_system_.Open(JoinPath(directory_, name), OpenMode::kCreateIfAbsent));

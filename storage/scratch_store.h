@@ -67,7 +67,10 @@ class Scratch {
   Scratch(FileSystem& file_system, std::string directory,
           const SpaceReserve& reserve, bool is_lasting);
 
-  absl::Status CheckWrite(const std::string& name, int64_t size) const;
+  /// Room for a write of `size` bytes to the file `name`, whose name is
+  /// checked.
+  absl::StatusOr<SpaceReserve::Claim> RoomFor(const std::string& name,
+                                              int64_t size) const;
 
   FileSystem& file_system_;
   const std::string directory_;

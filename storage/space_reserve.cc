@@ -13,10 +13,13 @@ SpaceReserve::SpaceReserve(FileSystem& file_system, std::string directory,
       directory_(std::move(directory)),
       reserve_bytes_(reserve_bytes) {}
 
-absl::Status SpaceReserve::Check(int64_t bytes) const {
+absl::StatusOr<SpaceReserve::Claim> SpaceReserve::Take(int64_t bytes) const {
+  // Counted before the free bytes are read: of two at the same time, at least
+  // one sees the other.
+  Claim claim(*this, bytes);
   MAPSIEVE_ASSIGN_OR_RETURN(const int64_t free,
                             file_system_.FreeBytes(directory_));
-  if (free - reserve_bytes_ >= bytes) return absl::OkStatus();
+  if (free - reserve_bytes_ >= claimed_) return claim;
   return absl::ResourceExhaustedError(absl::StrCat(
       directory_, ": ", bytes, " bytes do not fit: ", free, " are free, ",
       reserve_bytes_, " of them kept in reserve; free some space"));

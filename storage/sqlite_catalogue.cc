@@ -11,6 +11,7 @@
 #include "storage/sqlite_database.h"
 #include "storage/sqlite_maps.h"
 #include "storage/sqlite_operations.h"
+#include "storage/sqlite_retention.h"
 #include "storage/sqlite_schema.h"
 #include "storage/sqlite_uploads.h"
 
@@ -65,14 +66,16 @@ absl::StatusOr<RevisionRecord> RollBackTo(SqliteDatabase& database,
                                           const std::string& map_uid,
                                           int64_t number) {
   MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map, ReadLivingMap(database, map_uid));
-  MAPSIEVE_ASSIGN_OR_RETURN(const RevisionRecord target,
-                            ReadRevision(database, map, number));
+  MAPSIEVE_RETURN_IF_ERROR(CheckRevisionNumber(map, number));
   MAPSIEVE_ASSIGN_OR_RETURN(
       const RevisionRecord newest,
       ReadRevision(database, map, map.record.newest_revision));
+  // A repeat finds it even if the target expired since.
   if (newest.number == number || newest.restored_revision == number) {
     return newest;
   }
+  MAPSIEVE_ASSIGN_OR_RETURN(const RevisionRecord target,
+                            ReadKeptRevision(database, map, number));
   std::string options;
   if (target.processed_revision != 0) {
     MAPSIEVE_ASSIGN_OR_RETURN(
@@ -195,6 +198,13 @@ class SqliteCatalogue final : public Catalogue, private Connections {
       return ReadRevision(db, map, number);
     });
   }
+  absl::StatusOr<RevisionRecord> GetKeptRevision(
+      const std::string& map_uid, int64_t number) const override {
+    return Read([&](auto& db) -> absl::StatusOr<RevisionRecord> {
+      MAPSIEVE_ASSIGN_OR_RETURN(const MapRow map, ReadMap(db, map_uid));
+      return ReadKeptRevision(db, map, number);
+    });
+  }
   absl::StatusOr<std::vector<RevisionRecord>> ListRevisions(
       const std::string& map_uid, int64_t before,
       int64_t max_count) const override {
@@ -250,6 +260,27 @@ class SqliteCatalogue final : public Catalogue, private Connections {
                                        after, max_count);
     });
   }
+  absl::StatusOr<int64_t> ExpireRevisions(const std::string& map_uid,
+                                          int64_t kept_count) override {
+    return Write([&](auto& db) {
+      return storage::ExpireRevisions(db, map_uid, kept_count);
+    });
+  }
+  absl::StatusOr<std::vector<BlobId>> ForgetExpired(
+      const std::string& map_uid, const std::set<int64_t>& pinned) override {
+    return Write(
+        [&](auto& db) { return storage::ForgetExpired(db, map_uid, pinned); });
+  }
+  absl::StatusOr<int64_t> MeasureReclaimable(
+      const std::string& map_uid) const override {
+    ReclaimablePart part;
+    while (!part.is_last) {
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          part, Read([&](auto& db) { return MeasurePart(db, map_uid, part); }));
+    }
+    return part.bytes;
+  }
+
   absl::StatusOr<std::vector<bool>> AreBlobsReferenced(
       std::span<const BlobId> ids) const override {
     return Read([&](auto& db) { return storage::AreBlobsReferenced(db, ids); });

@@ -432,7 +432,8 @@ absl::Status RestoreChunks(SqliteDatabase& database, const MapRow& map,
   }
   // The tiles as they were: what changed their points last is in the history
   // of the target, and the product took in those that had points when it was
-  // made.
+  // made. Of references that expired, tile_changes tells what a target needs:
+  // what changed a tile after the target's product was made.
   MAPSIEVE_ASSIGN_OR_RETURN(
       SqliteStatement insert,
       database.Prepare(absl::StrCat(
@@ -441,15 +442,18 @@ absl::Status RestoreChunks(SqliteDatabase& database, const MapRow& map,
           "map_key = ?1 AND restored_revision = 0 AND "
           "number IN (SELECT number FROM history)) "
           "INSERT INTO tiles (map_key, tile_key, raw_chunk_count, "
-          "raw_revision, product_revision) SELECT map_key, tile_key, "
+          "raw_revision, product_revision) SELECT ?1, tile_key, "
           "count(*) FILTER (WHERE added_revision <= ?2 AND "
           "removed_revision > ?2) AS raw_chunk_count, "
-          "max(max(iif(added_revision IN changes, added_revision, 0), "
+          "max(max(1, iif(added_revision IN changes, added_revision, 0), "
           "iif(removed_revision IN changes, removed_revision, 0))) "
           "AS raw_revision, "
           "iif(count(*) FILTER (WHERE added_revision <= ?3 AND "
           "removed_revision > ?3) > 0, ?3, 0) AS product_revision "
-          "FROM chunks WHERE map_key = ?1 AND kind = ?4 GROUP BY tile_key "
+          "FROM (SELECT tile_key, added_revision, removed_revision FROM chunks "
+          "WHERE map_key = ?1 AND kind = ?4 UNION ALL "
+          "SELECT tile_key, revision, revision FROM tile_changes "
+          "WHERE map_key = ?1) GROUP BY tile_key "
           "HAVING raw_chunk_count > 0 OR "
           "(product_revision > 0 AND product_revision < raw_revision)")));
   return insert.Bind(map.key)

@@ -18,7 +18,9 @@ constexpr int64_t kChunksOfAPart = 4096;
 // In the order of TakeMap.
 constexpr char kMapColumns[] =
     "map_key, deleted, uid, id, display_name, step_nm, tile_level, crs_wkt, "
-    "newest_revision, create_time, update_time, process_options";
+    "newest_revision, (SELECT min(number) FROM revisions WHERE "
+    "revisions.map_key = maps.map_key AND expired = 0), create_time, "
+    "update_time, process_options";
 
 absl::StatusOr<MapRow> TakeMap(SqliteStatement& row) {
   MapRow map;
@@ -37,6 +39,7 @@ absl::StatusOr<MapRow> TakeMap(SqliteStatement& row) {
             "is no level of tiles");
   row.Take(spec.crs_wkt)
       .TakeCount(record.newest_revision)
+      .TakeCount(record.oldest_revision)
       .Take(record.create_time)
       .Take(record.update_time)
       .TakeBlob(record.process_options);
@@ -47,7 +50,7 @@ absl::StatusOr<MapRow> TakeMap(SqliteStatement& row) {
 // In the order of TakeRevision.
 constexpr char kRevisionColumns[] =
     "number, kind, create_time, description, attributes, refused_non_finite, "
-    "refused_out_of_lattice, processed_revision, restored_revision, "
+    "refused_out_of_lattice, processed_revision, restored_revision, expired, "
     "raw_point_count, raw_chunk_count, product_point_count, "
     "product_chunk_count, none_count, "
     "junction_count, curve_count, surface_count, stored_bytes, tile_count, "
@@ -57,7 +60,7 @@ constexpr char kRevisionColumns[] =
     "max_confidence_curve, max_confidence_surface";
 constexpr char kRevisionParameters[] =
     "?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, "
-    "?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?";
+    "?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?";
 
 template <typename Totals, typename Visit>
 void VisitTotals(Totals& totals, const Visit& visit) {
@@ -98,7 +101,8 @@ absl::StatusOr<RevisionRecord> TakeRevision(SqliteStatement& row) {
       .TakeCount(spec.refused.non_finite)
       .TakeCount(spec.refused.out_of_lattice)
       .TakeCount(revision.processed_revision)
-      .TakeCount(revision.restored_revision);
+      .TakeCount(revision.restored_revision)
+      .Take(revision.is_expired);
   revision.parent = revision.number - 1;
   const auto take_count = [&](int64_t& count) { row.TakeCount(count); };
   VisitTotals(revision.totals, take_count);
@@ -260,7 +264,8 @@ absl::StatusOr<bool> PurgePart(SqliteDatabase& database,
     MAPSIEVE_RETURN_IF_ERROR(remove.Bind(map.key).Bind(kChunksOfAPart).Run());
   }
   if (database.changed_row_count() == kChunksOfAPart) return false;
-  for (const char* table : {"tiles", "upload_revisions", "revisions", "maps"}) {
+  for (const char* table :
+       {"tiles", "tile_changes", "upload_revisions", "revisions", "maps"}) {
     MAPSIEVE_ASSIGN_OR_RETURN(
         SqliteStatement remove,
         database.Prepare(
@@ -297,6 +302,17 @@ absl::StatusOr<RevisionRecord> ReadRevision(SqliteDatabase& database,
   return TakeRevision(query);
 }
 
+absl::StatusOr<RevisionRecord> ReadKeptRevision(SqliteDatabase& database,
+                                                const MapRow& map,
+                                                int64_t number) {
+  MAPSIEVE_ASSIGN_OR_RETURN(RevisionRecord revision,
+                            ReadRevision(database, map, number));
+  if (!revision.is_expired) return revision;
+  return absl::OutOfRangeError(absl::StrCat(
+      "map ", map.record.spec.id, ": revision ", number,
+      " expired; the oldest one that is kept is ", map.record.oldest_revision));
+}
+
 absl::Status InsertRevision(SqliteDatabase& database, int64_t map_key,
                             const RevisionRecord& revision) {
   MAPSIEVE_ASSIGN_OR_RETURN(
@@ -313,7 +329,8 @@ absl::Status InsertRevision(SqliteDatabase& database, int64_t map_key,
       .Bind(spec.refused.non_finite)
       .Bind(spec.refused.out_of_lattice)
       .Bind(revision.processed_revision)
-      .Bind(revision.restored_revision);
+      .Bind(revision.restored_revision)
+      .Bind(revision.is_expired);
   const auto bind = [&](int64_t value) { insert.Bind(value); };
   VisitTotals(revision.totals, bind);
   VisitBounds(revision.totals, bind);

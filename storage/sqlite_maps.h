@@ -57,6 +57,10 @@ absl::StatusOr<bool> PurgePart(SqliteDatabase& database,
 absl::Status CheckRevisionNumber(const MapRow& map, int64_t number);
 absl::StatusOr<RevisionRecord> ReadRevision(SqliteDatabase& database,
                                             const MapRow& map, int64_t number);
+/// The same, and kOutOfRange if it is expired.
+absl::StatusOr<RevisionRecord> ReadKeptRevision(SqliteDatabase& database,
+                                                const MapRow& map,
+                                                int64_t number);
 absl::Status InsertRevision(SqliteDatabase& database, int64_t map_key,
                             const RevisionRecord& revision);
 /// Makes `revision` the newest of the map.

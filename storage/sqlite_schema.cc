@@ -10,7 +10,7 @@ namespace {
 
 // "msve": marks the database as ours.
 constexpr int64_t kApplicationId = 0x6d737665;
-constexpr int64_t kSchemaVersion = 3;
+constexpr int64_t kSchemaVersion = 4;
 
 // FORMAT.md explains every table and column.
 constexpr char kSchema[] = R"sql(
@@ -64,6 +64,7 @@ CREATE TABLE revisions (
   max_confidence_junction INTEGER NOT NULL,
   max_confidence_curve INTEGER NOT NULL,
   max_confidence_surface INTEGER NOT NULL,
+  expired INTEGER NOT NULL DEFAULT 0,
   PRIMARY KEY (map_key, number)
 ) STRICT, WITHOUT ROWID;
 
@@ -140,6 +141,33 @@ CREATE INDEX operations_by_target ON operations (target, number);
 CREATE INDEX operations_unfinished ON operations (number) WHERE state < 3;
 )sql";
 
+// What version 4 has besides the columns that it added.
+constexpr char kRetention[] = R"sql(
+CREATE INDEX revisions_kept ON revisions (map_key, number) WHERE expired = 0;
+CREATE INDEX chunks_removed ON chunks (map_key, removed_revision, number)
+  WHERE removed_revision < 9223372036854775807;
+CREATE TABLE tile_changes (
+  map_key INTEGER NOT NULL REFERENCES maps,
+  revision INTEGER NOT NULL,
+  tile_key BLOB NOT NULL,
+  PRIMARY KEY (map_key, revision, tile_key)
+) STRICT, WITHOUT ROWID;
+)sql";
+
+absl::Status SetVersion(SqliteDatabase& database) {
+  return database.Execute(
+      absl::StrCat("PRAGMA user_version = ", kSchemaVersion));
+}
+
+// Makes a catalogue of version 4 of one of version 3, in the transaction of
+// the caller.
+absl::Status MigrateFrom3(SqliteDatabase& database) {
+  MAPSIEVE_RETURN_IF_ERROR(database.Execute(
+      "ALTER TABLE revisions ADD COLUMN expired INTEGER NOT NULL DEFAULT 0"));
+  MAPSIEVE_RETURN_IF_ERROR(database.Execute(kRetention));
+  return SetVersion(database);
+}
+
 }  // namespace
 
 absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent) {
@@ -151,6 +179,10 @@ absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent) {
                             database.QueryInteger("PRAGMA user_version"));
   if (application == kApplicationId) {
     if (version == kSchemaVersion) return transaction.Commit();
+    if (version == 3) {
+      MAPSIEVE_RETURN_IF_ERROR(MigrateFrom3(database));
+      return transaction.Commit();
+    }
     return absl::FailedPreconditionError(
         absl::StrCat(database.path(), ": a catalogue of version ", version,
                      ", this program reads version ", kSchemaVersion,
@@ -172,10 +204,10 @@ absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent) {
                      "gone; restore the data directory from a backup"));
   }
   MAPSIEVE_RETURN_IF_ERROR(database.Execute(kSchema));
+  MAPSIEVE_RETURN_IF_ERROR(database.Execute(kRetention));
   MAPSIEVE_RETURN_IF_ERROR(database.Execute(
       absl::StrCat("PRAGMA application_id = ", kApplicationId)));
-  MAPSIEVE_RETURN_IF_ERROR(
-      database.Execute(absl::StrCat("PRAGMA user_version = ", kSchemaVersion)));
+  MAPSIEVE_RETURN_IF_ERROR(SetVersion(database));
   return transaction.Commit();
 }
 

@@ -7,8 +7,9 @@
 
 namespace mapsieve::storage {
 
-/// Makes the tables of FORMAT.md in an empty database, or checks that it is a
-/// catalogue of this version. Errors: those of OpenSqliteCatalogue.
+/// Makes the tables of FORMAT.md in an empty database, or of a catalogue of
+/// version 3, or checks that it is a catalogue of this version. Errors: those
+/// of OpenSqliteCatalogue.
 absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent);
 
 }  // namespace mapsieve::storage

@@ -24,6 +24,8 @@ constexpr char kLostAndFound[] = "lost+found";
 
 constexpr int64_t kMaxReserveBytes = int64_t{1} << 50;
 constexpr int64_t kCollectionPage = 1000;
+// A reference with its entries in indices, in the log and in the database.
+constexpr int64_t kCommitBytesPerChunk = 1024;
 
 absl::Status CheckIsDataDirectory(FileSystem& file_system,
                                   const std::string& directory) {
@@ -44,6 +46,11 @@ absl::Status CheckIsDataDirectory(FileSystem& file_system,
   return absl::OkStatus();
 }
 
+absl::Status CheckStop(const std::stop_token& stop) {
+  if (!stop.stop_requested()) return absl::OkStatus();
+  return absl::CancelledError("garbage collection was stopped");
+}
+
 }  // namespace
 
 absl::Status StoreOptions::Validate() const {
@@ -56,13 +63,18 @@ absl::Status StoreOptions::Validate() const {
         absl::StrCat("upload_lifetime ", absl::FormatDuration(upload_lifetime),
                      ": expected more than 0"));
   }
+  if (kept_revision_count < 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("kept_revision_count ", kept_revision_count,
+                     ": expected 0 (all) or more"));
+  }
   return absl::OkStatus();
 }
 
-ReadSnapshot::ReadSnapshot(Store& store, MapRecord map)
-    : store_(store), map_(std::move(map)) {}
+ReadSnapshot::ReadSnapshot(Store& store, MapRecord map, int64_t number)
+    : store_(store), map_(std::move(map)), revision_{.number = number} {}
 
-ReadSnapshot::~ReadSnapshot() { store_.Unpin(map_.uid); }
+ReadSnapshot::~ReadSnapshot() { store_.Unpin(map_.uid, revision_.number); }
 
 absl::StatusOr<std::vector<ChunkRef>> ReadSnapshot::ListChunks(
     ChunkKind kind, const std::optional<core::LatticeBox>& region,
@@ -193,29 +205,65 @@ absl::StatusOr<bool> Store::HoldsBlobs() {
 
 absl::StatusOr<std::shared_ptr<const ReadSnapshot>> Store::OpenSnapshot(
     const std::string& map_id, int64_t revision) {
-  MAPSIEVE_ASSIGN_OR_RETURN(MapRecord map, catalogue_->GetMap(map_id));
-  // Pinned before the revision is read: whatever is read stays.
-  {
-    MutexLock lock(pin_mutex_);
-    if (map.uid == purging_) {
-      return absl::NotFoundError(absl::StrCat("map ", map_id, " was deleted"));
+  int64_t expired = 0;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const MapRecord map, catalogue_->GetMap(map_id));
+    const int64_t number = revision == 0 ? map.newest_revision : revision;
+    // Pinned before the revision is read: whatever is read stays.
+    std::shared_ptr<ReadSnapshot> snapshot;
+    {
+      MutexLock lock(pin_mutex_);
+      if (map.uid == purging_) {
+        return absl::NotFoundError(
+            absl::StrCat("map ", map_id, " was deleted"));
+      }
+      snapshot = Pin(map, number);
     }
-    ++pins_[map.uid];
+    auto record = catalogue_->GetKeptRevision(map.uid, number);
+    if (record.ok()) {
+      snapshot->revision_ = *std::move(record);
+      return snapshot;
+    }
+    // The newest one expired after the map was read: a newer one is there.
+    if (revision != 0 || number == expired ||
+        !absl::IsOutOfRange(record.status())) {
+      return record.status();
+    }
+    expired = number;
   }
-  std::shared_ptr<ReadSnapshot> snapshot(
-      new ReadSnapshot(*this, std::move(map)));
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      snapshot->revision_,
-      catalogue_->GetRevision(
-          snapshot->map_.uid,
-          revision == 0 ? snapshot->map_.newest_revision : revision));
-  return snapshot;
 }
 
-void Store::Unpin(const std::string& map_uid) {
+absl::StatusOr<std::shared_ptr<const ReadSnapshot>> Store::OpenProduct(
+    const ReadSnapshot& snapshot) {
+  const int64_t number = snapshot.revision().processed_revision;
+  std::shared_ptr<ReadSnapshot> product;
+  {
+    MutexLock lock(pin_mutex_);
+    product = Pin(snapshot.map(), number);
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      product->revision_, catalogue_->GetRevision(snapshot.map().uid, number));
+  return product;
+}
+
+std::shared_ptr<ReadSnapshot> Store::Pin(const MapRecord& map,
+                                         int64_t revision) {
+  pins_[map.uid].insert(revision);
+  return std::shared_ptr<ReadSnapshot>(new ReadSnapshot(*this, map, revision));
+}
+
+void Store::Unpin(const std::string& map_uid, int64_t revision) {
   MutexLock lock(pin_mutex_);
-  const auto pin = pins_.find(map_uid);
-  if (--pin->second == 0) pins_.erase(pin);
+  const auto pins = pins_.find(map_uid);
+  pins->second.erase(pins->second.find(revision));
+  if (pins->second.empty()) pins_.erase(pins);
+}
+
+std::set<int64_t> Store::PinnedRevisions(const std::string& map_uid) {
+  MutexLock lock(pin_mutex_);
+  const auto pins = pins_.find(map_uid);
+  if (pins == pins_.end()) return {};
+  return {pins->second.begin(), pins->second.end()};
 }
 
 std::unique_ptr<BlobWriter> Store::NewBlobWriter() {
@@ -268,6 +316,7 @@ absl::Status Store::RemoveRunScratchesExcept(
 absl::StatusOr<GarbageReport> Store::CollectGarbage(std::stop_token stop) {
   MutexLock lock(collection_mutex_);
   GarbageReport report;
+  MAPSIEVE_RETURN_IF_ERROR(ForgetExpired(stop, report));
   MAPSIEVE_RETURN_IF_ERROR(PurgeDeletedMaps(report));
   MAPSIEVE_RETURN_IF_ERROR(DeleteUnreferencedBlobs(stop, report));
   MAPSIEVE_ASSIGN_OR_RETURN(
@@ -276,6 +325,54 @@ absl::StatusOr<GarbageReport> Store::CollectGarbage(std::stop_token stop) {
   MAPSIEVE_ASSIGN_OR_RETURN(report.deleted_upload_file_count,
                             uploads_->RemoveOrphans());
   return report;
+}
+
+absl::StatusOr<GarbageReport> Store::ExpireRevisions(std::stop_token stop) {
+  MutexLock lock(collection_mutex_);
+  GarbageReport report;
+  MAPSIEVE_RETURN_IF_ERROR(ForgetExpired(stop, report));
+  return report;
+}
+
+absl::Status Store::ForgetExpired(const std::stop_token& stop,
+                                  GarbageReport& report) {
+  std::string after;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto maps,
+                              catalogue_->ListMaps(after, kCollectionPage));
+    if (maps.empty()) return absl::OkStatus();
+    after = maps.back().spec.id;
+    for (const MapRecord& map : maps) {
+      const absl::Status status = ForgetExpiredOf(map, stop, report);
+      // Deleted and purged by another since it was listed.
+      if (!absl::IsNotFound(status)) MAPSIEVE_RETURN_IF_ERROR(status);
+    }
+  }
+}
+
+absl::Status Store::ForgetExpiredOf(const MapRecord& map,
+                                    const std::stop_token& stop,
+                                    GarbageReport& report) {
+  const int64_t kept = options_.kept_revision_count;
+  const bool has_too_many = kept > 0 && map.newest_revision > kept;
+  // The first revision makes no product: it expires before any other.
+  if (map.oldest_revision == 1 && !has_too_many) return absl::OkStatus();
+  if (has_too_many) {
+    MAPSIEVE_ASSIGN_OR_RETURN(const int64_t count,
+                              catalogue_->ExpireRevisions(map.uid, kept));
+    report.expired_revision_count += count;
+  }
+  // What is pinned from now on is not expired, or has a pin already.
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const std::vector<BlobId> blobs,
+        catalogue_->ForgetExpired(map.uid, PinnedRevisions(map.uid)));
+    if (blobs.empty()) return absl::OkStatus();
+    for (const BlobId& id : blobs) {
+      MAPSIEVE_RETURN_IF_ERROR(CheckStop(stop));
+      MAPSIEVE_RETURN_IF_ERROR(DeleteBlobIfUnused(id, report));
+    }
+  }
 }
 
 absl::Status Store::PurgeDeletedMaps(GarbageReport& report) {
@@ -311,9 +408,7 @@ absl::Status Store::DeleteUnreferencedBlobs(const std::stop_token& stop,
     MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<bool> referenced,
                               catalogue_->AreBlobsReferenced(ids));
     for (size_t i = 0; i < ids.size(); ++i) {
-      if (stop.stop_requested()) {
-        return absl::CancelledError("garbage collection was stopped");
-      }
+      MAPSIEVE_RETURN_IF_ERROR(CheckStop(stop));
       if (referenced[i]) continue;
       MAPSIEVE_RETURN_IF_ERROR(DeleteBlobIfUnused(ids[i], report));
     }
@@ -337,6 +432,24 @@ absl::Status Store::DeleteBlobIfUnused(const BlobId& id,
   ++report.deleted_blob_count;
   report.deleted_blob_bytes += *size;
   return absl::OkStatus();
+}
+
+absl::StatusOr<RevisionRecord> Store::CommitRevision(
+    const std::string& map_uid, int64_t expected_parent,
+    const RevisionChange& change) {
+  // What adds nothing may use the reserve, as all deletions.
+  std::optional<SpaceReserve::Claim> room;
+  if (!change.added.empty()) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        auto claim, reserve_.Take(static_cast<int64_t>(change.added.size()) *
+                                  kCommitBytesPerChunk));
+    room.emplace(std::move(claim));
+  }
+  return catalogue_->CommitRevision(map_uid, expected_parent, change);
+}
+
+absl::Status Store::CheckSpace(int64_t bytes) const {
+  return reserve_.Take(bytes).status();
 }
 
 absl::StatusOr<int64_t> Store::FreeBytes() const {

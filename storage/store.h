@@ -34,6 +34,9 @@ struct StoreOptions {
   /// CollectGarbage forgets an unfinished upload when nothing happened to it
   /// for this long; positive.
   absl::Duration upload_lifetime = absl::Hours(7 * 24);
+  /// Newest revisions of each map that are kept; 0: all. The others expire with
+  /// the next collection, but for those that made the products of kept ones.
+  int64_t kept_revision_count = 0;
 
   /// kInvalidArgument, naming the field and its limits.
   absl::Status Validate() const;
@@ -41,6 +44,7 @@ struct StoreOptions {
 
 /// What CollectGarbage removed.
 struct GarbageReport {
+  int64_t expired_revision_count = 0;
   int64_t purged_map_count = 0;
   int64_t deleted_blob_count = 0;
   int64_t deleted_blob_bytes = 0;
@@ -50,8 +54,9 @@ struct GarbageReport {
 
 class Store;
 
-/// One revision of one map, as it was committed: it stays readable while this
-/// object lives, even if the map is deleted. Thread-safe.
+/// One revision of one map, as it was committed: it and the revision that made
+/// its product stay readable while this object lives, even if they expire or
+/// the map is deleted. Thread-safe.
 class ReadSnapshot {
  public:
   ~ReadSnapshot();
@@ -72,7 +77,8 @@ class ReadSnapshot {
       ChunkKind kind, const std::optional<core::LatticeBox>& region,
       const std::optional<core::CellKey>& after, int64_t max_count) const;
 
-  /// Catalogue::ListAllChunks and CountAllChunks of the map.
+  /// Catalogue::ListAllChunks and CountAllChunks of the map. Chunks of
+  /// revisions that expire meanwhile go.
   absl::StatusOr<std::vector<ChunkRef>> ListAllChunks(int64_t after,
                                                       int64_t max_count) const;
   absl::StatusOr<int64_t> CountAllChunks() const;
@@ -84,10 +90,11 @@ class ReadSnapshot {
 
  private:
   friend class Store;
-  ReadSnapshot(Store& store, MapRecord map);
+  ReadSnapshot(Store& store, MapRecord map, int64_t number);
 
   Store& store_;
   const MapRecord map_;
+  // Its number is set from the beginning.
   RevisionRecord revision_;
 };
 
@@ -134,9 +141,12 @@ class Store {
   UploadStore& uploads() { return *uploads_; }
 
   /// Pins a revision of the map `map_id`; 0: the newest. kNotFound: the map;
-  /// kOutOfRange: the revision.
+  /// kOutOfRange: the revision, or it is expired.
   absl::StatusOr<std::shared_ptr<const ReadSnapshot>> OpenSnapshot(
       const std::string& map_id, int64_t revision = 0);
+  /// Pins the revision that made the product of a pinned one, which has one.
+  absl::StatusOr<std::shared_ptr<const ReadSnapshot>> OpenProduct(
+      const ReadSnapshot& snapshot);
 
   std::unique_ptr<BlobWriter> NewBlobWriter();
 
@@ -152,12 +162,24 @@ class Store {
   absl::Status RemoveRunScratchesExcept(const std::set<std::string>& map_uids);
 
   /// Removes what nothing needs: revisions of deleted maps that no snapshot
-  /// pins, blobs that no revision refers to and no BlobWriter protects, uploads
-  /// idle for options().upload_lifetime, bytes of uploads that are over. May
+  /// pins, chunks of expired revisions that no snapshot pins, blobs that no
+  /// revision refers to and no BlobWriter protects, uploads idle for
+  /// options().upload_lifetime, bytes of uploads that are over. May
   /// run beside anything else; one call runs at a time, a second one waits.
   /// kCancelled within one blob of a stop request; what was removed stays so.
   absl::StatusOr<GarbageReport> CollectGarbage(std::stop_token stop = {});
 
+  /// The part of CollectGarbage that expires revisions and removes what only
+  /// they referred to, without a look at every blob of the store.
+  absl::StatusOr<GarbageReport> ExpireRevisions(std::stop_token stop = {});
+
+  /// Catalogue::CommitRevision, if the disk has room for what `change` adds.
+  absl::StatusOr<RevisionRecord> CommitRevision(const std::string& map_uid,
+                                                int64_t expected_parent,
+                                                const RevisionChange& change);
+
+  /// kResourceExhausted if `bytes` do not fit on the disk outside the reserve.
+  absl::Status CheckSpace(int64_t bytes) const;
   /// Bytes that can still be written to the disk, the reserve included.
   absl::StatusOr<int64_t> FreeBytes() const;
 
@@ -168,9 +190,17 @@ class Store {
         const StoreOptions& options);
   absl::Status OpenParts();
   absl::StatusOr<bool> HoldsBlobs();
-  void Unpin(const std::string& map_uid);
+  std::shared_ptr<ReadSnapshot> Pin(const MapRecord& map, int64_t revision)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(pin_mutex_);
+  void Unpin(const std::string& map_uid, int64_t revision);
+  std::set<int64_t> PinnedRevisions(const std::string& map_uid);
   void Protect(const BlobId& id);
   void Unprotect(std::span<const BlobId> ids);
+  absl::Status ForgetExpired(const std::stop_token& stop,
+                             GarbageReport& report);
+  absl::Status ForgetExpiredOf(const MapRecord& map,
+                               const std::stop_token& stop,
+                               GarbageReport& report);
   absl::Status PurgeDeletedMaps(GarbageReport& report);
   bool BeginPurge(const std::string& map_uid);
   absl::Status DeleteUnreferencedBlobs(const std::stop_token& stop,
@@ -191,8 +221,9 @@ class Store {
   // Held for the whole of a collection; taken before the mutexes below.
   Mutex collection_mutex_;
   Mutex pin_mutex_;
-  // Snapshots of each map, by uid.
-  std::map<std::string, int64_t> pins_ ABSL_GUARDED_BY(pin_mutex_);
+  // The revisions of the snapshots of each map, by uid.
+  std::map<std::string, std::multiset<int64_t>> pins_
+      ABSL_GUARDED_BY(pin_mutex_);
   // The map that is being purged: it cannot be pinned any more.
   std::string purging_ ABSL_GUARDED_BY(pin_mutex_);
   Mutex protection_mutex_;

@@ -56,7 +56,7 @@ absl::Status UploadWriter::Append(int64_t offset,
         absl::StrCat("upload ", record_.spec.id, ": declared with ", *expected,
                      " bytes, got bytes up to ", written_bytes_ + size));
   }
-  MAPSIEVE_RETURN_IF_ERROR(store_.reserve_.Check(size));
+  MAPSIEVE_ASSIGN_OR_RETURN(const auto room, store_.reserve_.Take(size));
   MAPSIEVE_RETURN_IF_ERROR(file_->WriteAt(written_bytes_, bytes));
   written_bytes_ += size;
   return absl::OkStatus();

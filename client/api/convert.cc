@@ -127,6 +127,8 @@ MapStats FromProto(const v1::MapStats& stats) {
                      .label_counts = FromProto(stats.label_counts()),
                      .outlier_count = stats.outlier_count(),
                      .stored_bytes = stats.stored_bytes(),
+                     .reclaimable_bytes = stats.reclaimable_bytes(),
+                     .oldest_revision = stats.oldest_revision(),
                      .tile_count = stats.tile_count(),
                      .stale_tile_count = stats.stale_tile_count()};
   for (const v1::LabelCounts& counts : stats.level_counts()) {
@@ -181,6 +183,7 @@ RevisionInfo FromProto(const v1::Revision& revision) {
       .kind = FromProto(revision.kind()),
       .create_time = absl::FromUnixSeconds(revision.create_time().seconds()) +
                      absl::Nanoseconds(revision.create_time().nanos()),
+      .is_expired = revision.expired(),
       .restored_revision = revision.restored_revision(),
       .added_point_count = revision.added_point_count(),
       .removed_point_count = revision.removed_point_count(),

@@ -67,7 +67,8 @@ class MapClient {
   absl::StatusOr<std::vector<RevisionInfo>> ListRevisions(
       const std::string& map_id, int64_t max_count);
   /// Calls `visit` for each tile that differs between two revisions, in Morton
-  /// order. kNotFound; kOutOfRange: a revision that the map has not.
+  /// order. kNotFound; kOutOfRange: a revision that the map has not,
+  /// or that expired.
   absl::StatusOr<ComparedRevisions> CompareRevisions(
       const std::string& map_id, int64_t base, int64_t target,
       const std::function<absl::Status(const TileChange&)>& visit);

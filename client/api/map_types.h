@@ -78,6 +78,10 @@ struct MapStats {
   std::vector<core::LabelCounts> level_counts;
   int64_t outlier_count = 0;
   int64_t stored_bytes = 0;
+  /// What is freed once all older revisions, but the processed one, expired.
+  int64_t reclaimable_bytes = 0;
+  /// The oldest revision that has not expired.
+  int64_t oldest_revision = 0;
   int64_t tile_count = 0;
   int64_t stale_tile_count = 0;
   std::optional<Bounds> bounds;
@@ -154,6 +158,8 @@ struct RevisionInfo {
   int64_t number = 0;
   RevisionKind kind = RevisionKind::kUnknown;
   absl::Time create_time;
+  /// It cannot be queried, compared or rolled back to any more.
+  bool is_expired = false;
   /// Of kUpload and kReplaceRegion.
   std::string upload_id;
   /// Of kDeleteRegion and kReplaceRegion.

@@ -455,6 +455,8 @@ absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
                {"level_label_counts", levels},
                {"outlier_count", stats.outlier_count},
                {"stored_bytes", stats.stored_bytes},
+               {"reclaimable_bytes", stats.reclaimable_bytes},
+               {"oldest_revision", stats.oldest_revision},
                {"tile_count", stats.tile_count},
                {"stale_tile_count", stats.stale_tile_count},
                {"bounds", BoundsJson(stats.bounds)},

@@ -52,6 +52,7 @@ Json RevisionJson(const RevisionInfo& revision) {
       {"kind", KindName(revision.kind)},
       {"time", absl::FormatTime("%Y-%m-%dT%H:%M:%SZ", revision.create_time,
                                 absl::UTCTimeZone())}};
+  if (revision.is_expired) result["expired"] = true;
   if (!revision.upload_id.empty()) result["upload"] = revision.upload_id;
   if (const auto* box = std::get_if<BoxRegion>(&revision.region)) {
     result["box"] = {box->min.x, box->min.y, box->min.z,

@@ -142,7 +142,7 @@ absl::StatusOr<DeleteReport> DeleteStoredRegion(
                            .removed_point_count = cut.removed_point_count,
                            .tile_count = cut.tile_count};
   MAPSIEVE_RETURN_IF_ERROR(
-      store.catalogue()
+      store
           .CommitRevision(
               map.uid, base.number,
               {.spec = {.kind = storage::RevisionKind::kDeleteRegion,

@@ -31,6 +31,8 @@ namespace {
 /// Threads that store chunks: they wait for the disk most of the time.
 constexpr int kIoThreads = 4;
 constexpr int kMaxWorkers = 1024;
+/// The largest message of an upload.
+constexpr int64_t kMessageBytes = int64_t{1} << 20;
 
 absl::StatusOr<UploadInfo> ToInfo(const storage::UploadRecord& record) {
   UploadInfo info = {
@@ -93,7 +95,9 @@ class LocalEngine final : public Engine {
                                            ? *options.file_system
                                            : storage::PosixFileSystem();
     MAPSIEVE_ASSIGN_OR_RETURN(
-        store_, storage::Store::Open(file_system, options.data_dir));
+        store_, storage::Store::Open(
+                    file_system, options.data_dir,
+                    {.kept_revision_count = options.kept_revision_count}));
     MAPSIEVE_RETURN_IF_ERROR(RemoveStaleRuns());
     garbage_ = std::make_unique<GarbageCollector>(*store_);
     MAPSIEVE_ASSIGN_OR_RETURN(
@@ -106,6 +110,10 @@ class LocalEngine final : public Engine {
                            return RunJob(map_id, spec, context);
                          }));
     return absl::OkStatus();
+  }
+
+  absl::Status CheckSpace() override {
+    return store_->CheckSpace(kMessageBytes);
   }
 
   void Shutdown() override {
@@ -122,6 +130,7 @@ class LocalEngine final : public Engine {
       return absl::InvalidArgumentError(absl::StrCat(
           "step_nm is ", spec.step_nm, "; it must be 1 to ", core::kMaxStepNm));
     }
+    MAPSIEVE_RETURN_IF_ERROR(CheckSpace());
     MAPSIEVE_ASSIGN_OR_RETURN(const int tile_level, TileLevel(spec));
     MAPSIEVE_RETURN_IF_ERROR(
         CheckLength("display_name", spec.display_name, kMaxDisplayNameBytes));
@@ -180,10 +189,14 @@ class LocalEngine final : public Engine {
     MapStats stats = {.revision = newest.number,
                       .processed_revision = newest.processed_revision,
                       .raw_point_count = totals.raw_point_count,
+                      .oldest_revision = snapshot->map().oldest_revision,
                       .stored_bytes = totals.stored_bytes,
                       .tile_count = totals.tile_count,
                       .stale_tile_count = totals.stale_tile_count,
                       .attributes = newest.spec.attributes};
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        stats.reclaimable_bytes,
+        catalogue().MeasureReclaimable(snapshot->map().uid));
     if (totals.raw_point_count > 0) {
       const core::LatticePoint& max = totals.bounds.max;
       stats.bounds =
@@ -273,8 +286,10 @@ class LocalEngine final : public Engine {
                        " has an operation that is not done; wait for it or "
                        "cancel it"));
     }
+    MAPSIEVE_RETURN_IF_ERROR(CheckSpace());
     MAPSIEVE_ASSIGN_OR_RETURN(const storage::RevisionRecord record,
                               catalogue().RollBack(map.uid, revision));
+    ExpireSoon();
     return DescribeRevision(catalogue(), map.uid, record);
   }
 
@@ -283,6 +298,7 @@ class LocalEngine final : public Engine {
   absl::StatusOr<UploadInfo> CreateUpload(const std::string& map_id,
                                           const UploadSpec& spec) override {
     MAPSIEVE_RETURN_IF_ERROR(CheckUpload(spec));
+    MAPSIEVE_RETURN_IF_ERROR(CheckSpace());
     MutexLock lock(admin_mutex_);
     MAPSIEVE_ASSIGN_OR_RETURN(const storage::MapRecord map,
                               catalogue().GetMap(map_id));
@@ -582,7 +598,13 @@ class LocalEngine final : public Engine {
     }
     // Chunks that no commit refers to.
     if (!result.ok()) garbage_->Request();
+    ExpireSoon();
     return result;
+  }
+
+  /// After a commit.
+  void ExpireSoon() {
+    if (store_->options().kept_revision_count > 0) garbage_->RequestExpiry();
   }
 
   absl::StatusOr<JobResult> RunVerb(const std::string& map_id,
@@ -658,6 +680,11 @@ absl::Status EngineOptions::Validate() const {
   if (worker_count < 1 || worker_count > kMaxWorkers) {
     return absl::InvalidArgumentError(absl::StrCat(
         "worker_count is ", worker_count, "; it must be 1 to ", kMaxWorkers));
+  }
+  if (kept_revision_count < 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("kept_revision_count is ", kept_revision_count,
+                     "; it must be 0 (all) or above"));
   }
   MAPSIEVE_RETURN_IF_ERROR(
       CheckAtLeastOne("max_queued_operations", max_queued_operations));

@@ -43,6 +43,9 @@ struct EngineOptions {
   storage::FileSystem* file_system = nullptr;
   /// Finished operations remembered, at least 1; older ones are forgotten.
   int max_finished_operations = 1000;
+  /// Newest revisions of each map that are kept; 0: all. Others expire soon
+  /// after a commit, but for those that made the products of kept ones.
+  int64_t kept_revision_count = 0;
 
   /// kInvalidArgument, naming the field and its limits.
   absl::Status Validate() const;
@@ -71,8 +74,9 @@ class UploadWriter {
 ///
 /// Errors that any method may give: kInvalidArgument for an id that is none;
 /// kNotFound for a map, upload or operation that does not exist;
-/// kResourceExhausted (disk full); kUnavailable, kDataLoss (storage);
-/// kInternal. Methods may wait for the disk, so reactors do not call them.
+/// kResourceExhausted (disk full, where something is written that is no
+/// deletion); kUnavailable, kDataLoss (storage); kInternal. Methods may wait
+/// for the disk, so reactors do not call them.
 class Engine {
  public:
   /// Opens the data directory and goes on with the operations that waited or
@@ -83,6 +87,9 @@ class Engine {
 
   /// Shutdown.
   virtual ~Engine() = default;
+
+  /// kResourceExhausted while the disk is so full that uploads are refused.
+  virtual absl::Status CheckSpace() = 0;
 
   /// Stops the operations that run, so that the next Open goes on with them,
   /// and refuses new ones with kUnavailable. Returns when none runs. All other
@@ -107,7 +114,7 @@ class Engine {
   virtual absl::StatusOr<Page<RevisionInfo>> ListRevisions(
       const std::string& map_id, const PageRequest& page) = 0;
   /// Tiles that differ between two revisions, a page at a time. kOutOfRange: a
-  /// revision that the map has not.
+  /// revision that the map has not, or not any more.
   virtual absl::StatusOr<RevisionComparison> CompareRevisions(
       const std::string& map_id, int64_t base, int64_t target,
       const PageRequest& page) = 0;
@@ -127,7 +134,8 @@ class Engine {
   /// answer, stale tiles, options of the filter. Nothing is made, and the
   /// newest revision returned, if that is `revision` or a rollback to it.
   /// Uploads that it takes out of the map can be made again. kOutOfRange: no
-  /// such revision; kAborted: an operation on the map waits or runs.
+  /// such revision, or it expired; kAborted: an operation on the map waits or
+  /// runs.
   virtual absl::StatusOr<RevisionInfo> RollBack(const std::string& map_id,
                                                 int64_t revision) = 0;
 
@@ -211,8 +219,8 @@ class Engine {
   /// Checks `spec` and begins its answer, which stops within one chunk once
   /// `stop` asks for it. kInvalidArgument naming the field; kNotFound: the map
   /// or an attribute, naming those there are; kFailedPrecondition: never
-  /// processed and not `raw`; kOutOfRange: no such revision, or nothing was
-  /// processed up to it.
+  /// processed and not `raw`; kOutOfRange: no such revision, it expired, or
+  /// nothing was processed up to it.
   virtual absl::StatusOr<std::unique_ptr<QueryCursor>> Query(
       const QuerySpec& spec, std::stop_token stop) = 0;
 

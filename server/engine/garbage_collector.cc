@@ -1,6 +1,8 @@
 #include "server/engine/garbage_collector.h"
 
+#include <algorithm>
 #include <chrono>
+#include <utility>
 
 namespace mapsieve::engine {
 namespace {
@@ -14,10 +16,14 @@ GarbageCollector::GarbageCollector(storage::Store& store)
 
 GarbageCollector::~GarbageCollector() { Stop(); }
 
-void GarbageCollector::Request() {
+void GarbageCollector::Request() { Request(Work::kCollection); }
+
+void GarbageCollector::RequestExpiry() { Request(Work::kExpiry); }
+
+void GarbageCollector::Request(Work work) {
   {
     MutexLock lock(mutex_);
-    is_requested_ = true;
+    requested_ = std::max(requested_, work);
   }
   changed_.notify_all();
 }
@@ -35,18 +41,24 @@ void GarbageCollector::Stop() {
 
 void GarbageCollector::Run() {
   const std::stop_token stop = stop_.get_token();
+  auto wake = std::chrono::steady_clock::now();
   while (true) {
+    Work work = Work::kNone;
     {
       MutexLock lock(mutex_);
-      const auto wake = std::chrono::steady_clock::now() + kInterval;
-      while (!is_requested_ && !stop.stop_requested() &&
+      while (requested_ == Work::kNone && !stop.stop_requested() &&
              changed_.wait_until(mutex_, wake) != std::cv_status::timeout) {
       }
       if (stop.stop_requested()) return;
-      is_requested_ = false;
+      work = std::exchange(requested_, Work::kNone);
     }
     // What could not be removed now is tried again at the next collection.
-    store_.CollectGarbage(stop).status().IgnoreError();
+    if (work == Work::kExpiry) {
+      store_.ExpireRevisions(stop).status().IgnoreError();
+    } else {
+      store_.CollectGarbage(stop).status().IgnoreError();
+      wake = std::chrono::steady_clock::now() + kInterval;
+    }
   }
 }
 

@@ -10,7 +10,8 @@
 namespace mapsieve::engine {
 
 /// Runs Store::CollectGarbage on a thread of its own: at once, when asked to,
-/// and every hour (uploads that nobody goes on with grow old). Thread-safe.
+/// and every hour (uploads that nobody goes on with grow old); and
+/// Store::ExpireRevisions when asked to. Thread-safe.
 class GarbageCollector {
  public:
   /// `store` outlives the collector.
@@ -21,18 +22,22 @@ class GarbageCollector {
 
   /// Collects soon.
   void Request();
+  /// Expires revisions soon.
+  void RequestExpiry();
 
   /// Ends the thread, within one blob of a collection. Idempotent.
   void Stop();
 
  private:
+  enum class Work { kNone, kExpiry, kCollection };
+  void Request(Work work);
   void Run();
 
   storage::Store& store_;
   std::stop_source stop_;
   Mutex mutex_;
   ConditionVariable changed_;
-  bool is_requested_ ABSL_GUARDED_BY(mutex_) = true;
+  Work requested_ ABSL_GUARDED_BY(mutex_) = Work::kCollection;
   std::thread thread_;
 };
 

@@ -321,17 +321,20 @@ class Ingest {
   int64_t block_count_ = 0;
 };
 
-/// Takes the points of `shape` out of revision `number` of the map and adds
-/// that to `change`. `rest` keeps what is stored safe until the commit.
+/// Takes the points of `shape` out of the newest revision of the map. `rest`
+/// keeps what is stored safe until the commit. kAborted: that revision expired,
+/// so a newer one is there.
 absl::StatusOr<RegionCut> CutFrom(storage::Store& store,
                                   const storage::MapRecord& map,
                                   const RegionShape& shape,
                                   const IngestLimits& limits,
                                   const ExecutionContext& context,
                                   ChunkWriter& rest) {
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const auto snapshot,
-      store.OpenSnapshot(map.spec.id, map.newest_revision));
+  const auto opened = store.OpenSnapshot(map.spec.id, map.newest_revision);
+  if (absl::IsOutOfRange(opened.status())) {
+    return absl::AbortedError(opened.status().message());
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const auto snapshot, opened);
   if (snapshot->map().uid != map.uid) {
     return absl::NotFoundError(
         absl::StrCat("map ", map.spec.id, " was deleted meanwhile"));
@@ -373,8 +376,16 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
   MAPSIEVE_ASSIGN_OR_RETURN(AttributeSchema schema,
                             AttributeSchema::Of(store.catalogue(), map));
   MAPSIEVE_RETURN_IF_ERROR(ingest.Run(*reader, schema));
-  while (true) {
+  for (bool is_first = true;; is_first = false) {
     MAPSIEVE_RETURN_IF_ERROR(context.CheckStop());
+    if (!is_first) {
+      // Another revision came first; these points can follow any.
+      MAPSIEVE_ASSIGN_OR_RETURN(map, store.catalogue().GetMap(map_id));
+      MAPSIEVE_ASSIGN_OR_RETURN(AttributeSchema newer,
+                                AttributeSchema::Of(store.catalogue(), map));
+      MAPSIEVE_RETURN_IF_ERROR(newer.Add(schema.columns()));
+      schema = std::move(newer);
+    }
     UploadReport report = ingest.Report();
     report.refused = notes.refused;
     report.revision = map.newest_revision + 1;
@@ -382,8 +393,9 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
                      *context.executor);
     RegionCut cut;
     if (region.has_value()) {
-      MAPSIEVE_ASSIGN_OR_RETURN(
-          cut, CutFrom(store, map, *region, limits, context, rest));
+      auto result = CutFrom(store, map, *region, limits, context, rest);
+      if (absl::IsAborted(result.status())) continue;
+      MAPSIEVE_ASSIGN_OR_RETURN(cut, std::move(result));
     }
     report.removed_point_count = cut.removed_point_count;
     storage::RevisionChange change = {
@@ -405,15 +417,9 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
     change.added.insert(change.added.end(), ingest.chunks().begin(),
                         ingest.chunks().end());
     const auto committed =
-        store.catalogue().CommitRevision(map.uid, map.newest_revision, change);
+        store.CommitRevision(map.uid, map.newest_revision, change);
     if (committed.ok()) return report;
     if (!absl::IsAborted(committed.status())) return committed.status();
-    // Another revision came first; these points can follow any.
-    MAPSIEVE_ASSIGN_OR_RETURN(map, store.catalogue().GetMap(map_id));
-    MAPSIEVE_ASSIGN_OR_RETURN(AttributeSchema newer,
-                              AttributeSchema::Of(store.catalogue(), map));
-    MAPSIEVE_RETURN_IF_ERROR(newer.Add(schema.columns()));
-    schema = std::move(newer);
   }
 }
 

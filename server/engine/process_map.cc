@@ -156,9 +156,7 @@ class MapRun {
       return std::nullopt;
     }
     Previous previous;
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        previous.snapshot,
-        store_.OpenSnapshot(snapshot_.map().spec.id, base.processed_revision));
+    MAPSIEVE_ASSIGN_OR_RETURN(previous.snapshot, store_.OpenProduct(snapshot_));
     const storage::RevisionRecord& then = previous.snapshot->revision();
     MAPSIEVE_ASSIGN_OR_RETURN(previous.report,
                               ParseProcessReport(then.spec.description));
@@ -380,8 +378,7 @@ class MapRun {
     change.removed.insert(change.removed.end(), levels_->replaced().begin(),
                           levels_->replaced().end());
     MAPSIEVE_RETURN_IF_ERROR(
-        store_.catalogue()
-            .CommitRevision(snapshot_.map().uid, base.number, change)
+        store_.CommitRevision(snapshot_.map().uid, base.number, change)
             .status());
     return report;
   }

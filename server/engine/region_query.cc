@@ -416,13 +416,7 @@ absl::StatusOr<std::shared_ptr<const ReadSnapshot>> OpenRevision(
         "map ", spec.map_id, " was not processed up to revision ",
         spec.revision, "; ask for a later one, or for raw points"));
   }
-  MAPSIEVE_ASSIGN_OR_RETURN(auto answering,
-                            store.OpenSnapshot(spec.map_id, processed));
-  if (answering->map().uid != asked->map().uid) {
-    return absl::NotFoundError(
-        absl::StrCat("map ", spec.map_id, " was deleted meanwhile"));
-  }
-  return answering;
+  return store.OpenProduct(*asked);
 }
 
 }  // namespace

@@ -126,6 +126,7 @@ absl::StatusOr<RevisionInfo> DescribeRevision(
   RevisionInfo info = {.number = revision.number,
                        .kind = ToKind(revision.spec.kind),
                        .create_time = revision.create_time,
+                       .is_expired = revision.is_expired,
                        .restored_revision = revision.restored_revision,
                        .raw_point_count = totals.raw_point_count,
                        .processed_revision = revision.processed_revision,

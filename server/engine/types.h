@@ -111,8 +111,13 @@ struct MapStats {
   LevelCounts level_counts{};
   /// Survivors of the filter that are outliers.
   int64_t outlier_count = 0;
+  /// The oldest revision that is not expired.
+  int64_t oldest_revision = 0;
   /// Bytes of all blobs of the revision.
   int64_t stored_bytes = 0;
+  /// Bytes of the blobs that only other revisions of the map refer to, the one
+  /// of the product that queries read excepted.
+  int64_t reclaimable_bytes = 0;
   /// Tiles that hold points.
   int64_t tile_count = 0;
   /// Tiles whose points changed since they were processed.
@@ -139,6 +144,8 @@ struct RevisionInfo {
   int64_t number = 0;
   RevisionKind kind = RevisionKind::kCreate;
   absl::Time create_time;
+  /// Its points are given up: it can only be listed.
+  bool is_expired = false;
   /// Of kUpload and kReplaceRegion, else empty.
   std::string upload_id;
   /// Of kDeleteRegion and kReplaceRegion: what lost its points.

@@ -146,6 +146,10 @@ class MapVerification final : public VerifyCursor {
     const absl::Status status = CheckChunk(*snapshot_, chunk);
     if (status.ok()) return std::nullopt;
     if (!absl::IsDataLoss(status)) return status;
+    // One of a revision that expired meanwhile may be gone.
+    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> next,
+                              snapshot_->ListAllChunks(chunk.number - 1, 1));
+    if (next.empty() || next[0].number != chunk.number) return std::nullopt;
     ++summary_.damaged_chunk_count;
     return DamagedChunk{.content = ToContent(chunk.kind),
                         .tile = chunk.tile,
@@ -201,15 +205,13 @@ absl::StatusOr<std::unique_ptr<VerifyCursor>> OpenVerification(
   MAPSIEVE_ASSIGN_OR_RETURN(auto snapshot, store.OpenSnapshot(spec.map_id));
   std::shared_ptr<const ReadSnapshot> processed;
   if (spec.compared_tile_count > 0) {
-    const int64_t revision = snapshot->revision().processed_revision;
-    if (revision == 0) {
+    if (snapshot->revision().processed_revision == 0) {
       return absl::FailedPreconditionError(
           absl::StrCat("map ", spec.map_id,
                        " was never processed, so it has no tiles to compare; "
                        "process it first"));
     }
-    MAPSIEVE_ASSIGN_OR_RETURN(processed,
-                              store.OpenSnapshot(spec.map_id, revision));
+    MAPSIEVE_ASSIGN_OR_RETURN(processed, store.OpenProduct(*snapshot));
   }
   auto verification = std::make_unique<MapVerification>(
       std::move(snapshot), std::move(processed), memory, std::move(stop));

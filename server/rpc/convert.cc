@@ -346,7 +346,9 @@ v1::MapStats ToProto(std::string_view map_id, const engine::MapStats& stats) {
     *result.add_level_counts() = ToProto(counts);
   }
   result.set_outlier_count(stats.outlier_count);
+  result.set_oldest_revision(stats.oldest_revision);
   result.set_stored_bytes(stats.stored_bytes);
+  result.set_reclaimable_bytes(stats.reclaimable_bytes);
   result.set_tile_count(stats.tile_count);
   result.set_stale_tile_count(stats.stale_tile_count);
   if (stats.bounds) *result.mutable_bounds() = ToBox(*stats.bounds);
@@ -382,6 +384,7 @@ v1::Revision ToProto(std::string_view map_id,
       break;
   }
   *result.mutable_create_time() = ToTimestamp(revision.create_time);
+  result.set_expired(revision.is_expired);
   result.set_raw_point_count(revision.raw_point_count);
   result.set_processed_revision(revision.processed_revision);
   if (!revision.upload_id.empty()) {

@@ -104,6 +104,9 @@ class Edits(unittest.TestCase):
         for key in ("raw_point_count", "point_count", "label_counts",
                     "stored_bytes", "stale_tile_count", "bounds"):
             self.assertEqual(after[key], before[key])
+        self.assertEqual(before["reclaimable_bytes"], 0)
+        self.assertGreater(after["reclaimable_bytes"], 0)
+        self.assertEqual(after["oldest_revision"], 1)
         self.assertEqual(
             self.mapsieve("rollback", "edited", "--to",
                           before["revision"])["revision"], back["revision"])

@@ -43,6 +43,7 @@ class MockEngine : public engine::Engine {
   using Operations = engine::Page<engine::Operation>;
   using Id = const std::string&;
 
+  MOCK_METHOD(absl::Status, CheckSpace, (), (override));
   MOCK_METHOD(void, Shutdown, (), (override));
   MOCK_METHOD(Or<engine::MapInfo>, CreateMap, (const engine::MapSpec&),
               (override));

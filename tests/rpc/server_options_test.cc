@@ -108,6 +108,11 @@ TEST(ApplySetting, NamesTheSettingAndTheValue) {
   EXPECT_THAT(
       ApplySetting("insecure", "maybe", options),
       StatusIs(kInvalid, HasSubstr("insecure: expected true or false")));
+  for (const char* text : {"-1", "all", "1.5", ""}) {
+    EXPECT_THAT(ApplySetting("keep-revisions", text, options),
+                StatusIs(kInvalid, HasSubstr("keep-revisions: expected 0")))
+        << text;
+  }
   EXPECT_THAT(ApplySetting("log-level", "loud", options),
               StatusIs(kInvalid, HasSubstr("log-level")));
   EXPECT_THAT(ApplySetting("tsl", "1", options),
@@ -123,6 +128,7 @@ TEST(ApplyConfigFile, ReadsEverySetting) {
                                                  "  listen=0.0.0.0:99  \n"
                                                  "memory = 1GiB\n"
                                                  "threads = 3\n"
+                                                 "keep-revisions = 12\n"
                                                  "insecure = true\r\n"
                                                  "log-level = debug"),
                                      options));
@@ -130,6 +136,7 @@ TEST(ApplyConfigFile, ReadsEverySetting) {
   EXPECT_EQ(options.listen.ToString(), "0.0.0.0:99");
   EXPECT_EQ(options.memory_bytes, int64_t{1} << 30);
   EXPECT_EQ(options.thread_count, 3);
+  EXPECT_EQ(options.kept_revision_count, 12);
   EXPECT_TRUE(options.insecure);
   EXPECT_EQ(options.log_level, "debug");
 }

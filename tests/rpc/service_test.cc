@@ -2,6 +2,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <sstream>
 #include <string>
 #include <thread>
 #include <utility>
@@ -16,8 +17,10 @@
 #include "grpcpp/generic/generic_stub.h"
 #include "grpcpp/security/credentials.h"
 #include "gtest/gtest.h"
+#include "spdlog/sinks/ostream_sink.h"
 #include "tests/rpc/service_fixture.h"
 #include "tests/rpc/test_client.h"
+#include "tests/testing/fault_file_system.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::rpc {
@@ -25,6 +28,7 @@ namespace {
 
 using ::mapsieve::testing::StatusIs;
 using ::testing::_;
+using ::testing::AllOf;
 using ::testing::AnyOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
@@ -421,6 +425,81 @@ TEST_F(ServiceTest, HealthAnswersForEachService) {
     EXPECT_EQ(HealthOf(client_->channel, service), 1) << service;
   }
   EXPECT_EQ(HealthOf(client_->channel, "mapsieve.v1.NoService"), 0);
+}
+
+// Whether `service` has that status within a while.
+bool BecomesHealth(const std::shared_ptr<grpc::Channel>& channel,
+                   const std::string& service, int health) {
+  const absl::Time end = absl::Now() + absl::Seconds(20);
+  while (HealthOf(channel, service) != health) {
+    if (absl::Now() > end) return false;
+    absl::SleepFor(absl::Milliseconds(20));
+  }
+  return true;
+}
+
+TEST_F(ServiceTest, HealthTellsOfAFullDiskWhileQueriesGoOn) {
+  std::ostringstream log;
+  logger_.sinks().push_back(
+      std::make_shared<spdlog::sinks::ostream_sink_mt>(log));
+  mapsieve::testing::FaultFileSystem files(storage::PosixFileSystem());
+  const auto start = [&] {
+    server_.reset();
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(server_,
+                                  Server::Start(Options(), logger_, &files));
+    client_ = std::make_unique<TestClient>(server_->address().ToString());
+  };
+  start();
+  MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
+  MAPSIEVE_ASSERT_OK(client_->Upload("campus", "first", TestScene(2000)));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto run, client_->Process("campus"));
+  MAPSIEVE_ASSERT_OK(client_->Wait(run.name()));
+  MAPSIEVE_ASSERT_OK(client_->CreateMap("other"));
+  const auto bytes = UploadBytes(TestScene(3000), 1000);
+  MAPSIEVE_ASSERT_OK(client_->CreateUpload("campus", "u", bytes));
+
+  // As much as the reserve.
+  files.SetFreeBytes(int64_t{64} << 20);
+  for (const char* stopped :
+       {"mapsieve.v1.UploadService", "mapsieve.v1.ProcessingService"}) {
+    EXPECT_TRUE(BecomesHealth(client_->channel, stopped, 2)) << stopped;
+  }
+  const auto others_serve = [&] {
+    for (const char* service :
+         {"", "mapsieve.v1.MapService", "mapsieve.v1.QueryService",
+          "mapsieve.v1.Operations"}) {
+      EXPECT_EQ(HealthOf(client_->channel, service), 1) << service;
+    }
+  };
+  others_serve();
+  EXPECT_THAT(client_->Write(kUpload, bytes),
+              StatusIs(Code::kResourceExhausted, HasSubstr("reserve")));
+  EXPECT_THAT(client_->CreateUpload("campus", "v", bytes),
+              StatusIs(Code::kResourceExhausted, HasSubstr("reserve")));
+  MAPSIEVE_EXPECT_OK(client_->Query(QueryOf("campus")));
+  v1::DeleteMapRequest deletion;
+  deletion.set_name("maps/other");
+  google::protobuf::Empty nothing;
+  MAPSIEVE_EXPECT_OK(FromGrpc(client_->maps->DeleteMap(
+      client_->NewContext().get(), deletion, &nothing)));
+
+  // A server that begins on a full disk says so from the beginning.
+  start();
+  EXPECT_EQ(HealthOf(client_->channel, "mapsieve.v1.UploadService"), 2);
+  others_serve();
+
+  files.SetFreeBytes(int64_t{1} << 40);
+  for (const char* stopped :
+       {"mapsieve.v1.UploadService", "mapsieve.v1.ProcessingService"}) {
+    EXPECT_TRUE(BecomesHealth(client_->channel, stopped, 1)) << stopped;
+  }
+  MAPSIEVE_EXPECT_OK(client_->Write(kUpload, bytes));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto finalize,
+                                client_->Finalize(kUpload));
+  MAPSIEVE_EXPECT_OK(client_->Wait(finalize.name()));
+  server_.reset();
+  EXPECT_THAT(log.str(), AllOf(HasSubstr("are refused: RESOURCE_EXHAUSTED"),
+                               HasSubstr("has space again")));
 }
 
 TEST_F(ServiceTest, ReflectionListsTheServices) {

@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -53,6 +54,17 @@ class CatalogueTest : public ::testing::TestWithParam<CatalogueImplementation> {
                                                std::nullopt, 1'000'000);
     EXPECT_THAT(chunks, testing::IsOk());
     return chunks.value_or(std::vector<ChunkRef>());
+  }
+  /// What ForgetExpired gives until nothing is left.
+  std::vector<BlobId> ForgetAll(const MapRecord& map,
+                                const std::set<int64_t>& pinned) {
+    std::vector<BlobId> all;
+    while (true) {
+      const auto blobs = catalogue_->ForgetExpired(map.uid, pinned);
+      EXPECT_THAT(blobs, testing::IsOk());
+      if (!blobs.ok() || blobs->empty()) return all;
+      all.insert(all.end(), blobs->begin(), blobs->end());
+    }
   }
   UploadRecord MakeUpload(const MapRecord& map, const std::string& id) {
     const auto upload = catalogue_->CreateUpload(map.uid, {.id = id});

@@ -29,6 +29,7 @@ struct ModelRevision {
   int64_t processed_revision = 0;
   std::string options;
   RevisionTotals totals;
+  bool is_expired = false;
 };
 
 bool HasRaw(const ModelRevision& revision, const core::CellKey& tile) {
@@ -40,7 +41,9 @@ bool HasRaw(const ModelRevision& revision, const core::CellKey& tile) {
 
 class RandomHistory {
  public:
-  explicit RandomHistory(uint64_t seed) : random_(seed) {
+  /// One of `product_odds` changes makes a product.
+  RandomHistory(uint64_t seed, int64_t product_odds)
+      : random_(seed), product_odds_(product_odds) {
     revisions_.resize(2);  // 0 is none; 1 is empty.
   }
 
@@ -57,7 +60,7 @@ class RandomHistory {
   /// A change of the newest revision, whose chunks are `present`.
   RevisionChange DrawChange(const std::vector<ChunkRef>& present) {
     RevisionChange change;
-    const bool has_product = Draw(3) == 0;
+    const bool has_product = Draw(product_odds_) == 0;
     const ChunkKind kind = has_product ? ChunkKind::kProduct : ChunkKind::kRaw;
     for (int64_t i = Draw(5); i > 0; --i) {
       change.added.push_back(DrawChunk(kind));
@@ -80,6 +83,7 @@ class RandomHistory {
 
  private:
   std::mt19937_64 random_;
+  const int64_t product_odds_;
   std::vector<ModelRevision> revisions_;
 };
 
@@ -113,9 +117,25 @@ void Apply(const RevisionChange& change, int64_t number,
   });
 }
 
+// Expires revisions in the model.
+void Expire(int64_t kept_count, std::vector<ModelRevision>& revisions) {
+  const auto newest = static_cast<int64_t>(revisions.size()) - 1;
+  std::set<int64_t> products;
+  for (int64_t n = std::max<int64_t>(1, newest - kept_count + 1); n <= newest;
+       ++n) {
+    products.insert(revisions[static_cast<size_t>(n)].processed_revision);
+  }
+  for (int64_t n = 1; n <= newest - kept_count; ++n) {
+    if (products.contains(n)) continue;
+    revisions[static_cast<size_t>(n)].is_expired = true;
+  }
+}
+
+// Seeds from 10 on expire revisions in between.
 TEST_P(CatalogueTest, ARollbackEqualsItsTargetAndLeavesEveryRevisionAsItWas) {
-  for (const uint64_t seed : {1, 2, 3}) {
-    RandomHistory history(seed);
+  for (const uint64_t seed : {1, 2, 3, 10, 11, 12, 13}) {
+    RandomHistory history(seed, seed < 10 ? 3 : 8);
+    int refused_count = 0;
     auto& model = history.revisions();
     const MapRecord map = MakeMap("m" + std::to_string(seed));
     int rollback_count = 0;
@@ -130,13 +150,43 @@ TEST_P(CatalogueTest, ARollbackEqualsItsTargetAndLeavesEveryRevisionAsItWas) {
                        next.chunks[kind].end());
       }
       RevisionRecord made;
+      if (seed >= 10 && history.Draw(5) == 0) {
+        const int64_t kept_count = 1 + history.Draw(8);
+        MAPSIEVE_ASSERT_OK(catalogue_->ExpireRevisions(map.uid, kept_count));
+        ForgetAll(map, {});
+        Expire(kept_count, model);
+        // Those of kept revisions are there, and no others.
+        std::set<int64_t> kept;
+        for (size_t number = 1; number < model.size(); ++number) {
+          if (model[number].is_expired) continue;
+          for (const ChunkKind kind : kKinds) {
+            for (const ChunkRef& chunk :
+                 Chunks(map, static_cast<int64_t>(number), kind)) {
+              kept.insert(chunk.number);
+            }
+          }
+        }
+        EXPECT_EQ(catalogue_->CountAllChunks(map.uid).value_or(-1),
+                  static_cast<int64_t>(kept.size()));
+      }
       if (history.Draw(4) == 0) {
-        const int64_t target = 1 + history.Draw(newest);
+        const int64_t target =
+            seed >= 10 ? newest - history.Draw(std::min<int64_t>(newest, 12))
+                       : 1 + history.Draw(newest);
         MAPSIEVE_ASSERT_OK_AND_ASSIGN(const RevisionRecord before,
                                       catalogue_->GetRevision(map.uid, newest));
+        const bool is_repeat =
+            target == newest || before.restored_revision == target;
+        if (model[static_cast<size_t>(target)].is_expired && !is_repeat) {
+          ++refused_count;
+          EXPECT_THAT(
+              catalogue_->RollBack(map.uid, target),
+              StatusIs(absl::StatusCode::kOutOfRange, HasSubstr("expired")));
+          continue;
+        }
         MAPSIEVE_ASSERT_OK_AND_ASSIGN(made,
                                       catalogue_->RollBack(map.uid, target));
-        if (target == newest || before.restored_revision == target) {
+        if (is_repeat) {
           ASSERT_EQ(made.number, newest);
           continue;
         }
@@ -174,11 +224,13 @@ TEST_P(CatalogueTest, ARollbackEqualsItsTargetAndLeavesEveryRevisionAsItWas) {
       EXPECT_EQ(now.process_options, next.options);
       model.push_back(std::move(next));
     }
-    EXPECT_GT(rollback_count, 10);
+    EXPECT_GT(rollback_count, 5);
+    EXPECT_EQ(refused_count > 0, seed >= 10);
     Reopen();
     for (size_t number = 1; number < model.size(); ++number) {
       const auto revision = static_cast<int64_t>(number);
       for (const ChunkKind kind : kKinds) {
+        if (model[number].is_expired) continue;
         EXPECT_EQ(WithoutNumbers(Chunks(map, revision, kind)),
                   model[number].chunks[kind])
             << "revision " << number;
@@ -186,6 +238,7 @@ TEST_P(CatalogueTest, ARollbackEqualsItsTargetAndLeavesEveryRevisionAsItWas) {
       MAPSIEVE_ASSERT_OK_AND_ASSIGN(const RevisionRecord record,
                                     catalogue_->GetRevision(map.uid, revision));
       EXPECT_EQ(record.totals, model[number].totals);
+      EXPECT_EQ(record.is_expired, model[number].is_expired);
     }
   }
 }

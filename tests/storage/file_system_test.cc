@@ -10,6 +10,7 @@
 #include "gtest/gtest.h"
 #include "storage/space_reserve.h"
 #include "tests/storage/storage_test_util.h"
+#include "tests/testing/fault_file_system.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::storage {
@@ -150,10 +151,28 @@ TEST_F(PosixFileSystemTest, TheReserveIsLeftFree) {
                                 files_.FreeBytes(directory_.path()));
   EXPECT_GT(free, 0);
   const SpaceReserve modest(files_, directory_.path(), 0);
-  MAPSIEVE_EXPECT_OK(modest.Check(1));
+  MAPSIEVE_EXPECT_OK(modest.Take(1));
   const SpaceReserve greedy(files_, directory_.path(), int64_t{1} << 60);
-  EXPECT_THAT(greedy.Check(1), StatusIs(absl::StatusCode::kResourceExhausted,
-                                        HasSubstr("reserve")));
+  EXPECT_THAT(greedy.Take(1), StatusIs(absl::StatusCode::kResourceExhausted,
+                                       HasSubstr("reserve")));
+}
+
+TEST(SpaceReserve, WritersAtTheSameTimeDoNotGetTheSameRoom) {
+  testing::FaultFileSystem files(PosixFileSystem());
+  files.SetFreeBytes(100);
+  const SpaceReserve reserve(files, "/", 40);
+  {
+    const auto first = reserve.Take(50);
+    MAPSIEVE_EXPECT_OK(first);
+    MAPSIEVE_EXPECT_OK(reserve.Take(10));
+    EXPECT_THAT(reserve.Take(11),
+                StatusIs(absl::StatusCode::kResourceExhausted, _));
+  }
+  // What was refused, and what was written, holds no room.
+  MAPSIEVE_EXPECT_OK(reserve.Take(60));
+  MAPSIEVE_EXPECT_OK(reserve.Take(60));
+  EXPECT_THAT(reserve.Take(61),
+              StatusIs(absl::StatusCode::kResourceExhausted, _));
 }
 
 }  // namespace

@@ -74,6 +74,10 @@ class SqliteDamageTest : public ::testing::Test {
       catalogue.CommitRevision(map.uid, map.newest_revision, change)
           .status()
           .IgnoreError();
+      catalogue.MeasureReclaimable(map.uid).status().IgnoreError();
+      catalogue.ExpireRevisions(map.uid, 1).status().IgnoreError();
+      catalogue.ForgetExpired(map.uid, {}).status().IgnoreError();
+      catalogue.RollBack(map.uid, 3).status().IgnoreError();
       catalogue.DeleteMap(map.spec.id).IgnoreError();
       catalogue.PurgeMap(map.uid).IgnoreError();
     }
@@ -207,11 +211,11 @@ TEST_F(SqliteDamageTest, ForeignAndNewerDatabasesAreRefused) {
   {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
         const auto database, SqliteDatabase::Open(PosixFileSystem(), path_));
-    MAPSIEVE_ASSERT_OK(database->Execute("PRAGMA user_version = 4"));
+    MAPSIEVE_ASSERT_OK(database->Execute("PRAGMA user_version = 5"));
   }
   EXPECT_THAT(OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kCreate),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       AllOf(HasSubstr("version 4"), HasSubstr("version 3"))));
+                       AllOf(HasSubstr("version 5"), HasSubstr("version 4"))));
 }
 
 TEST_F(SqliteDamageTest, AnAbsentCatalogueIsMadeOnlyWhereAskedFor) {

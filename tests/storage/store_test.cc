@@ -188,6 +188,10 @@ TEST_F(StoreTest, OptionsAreChecked) {
                           {.upload_lifetime = absl::ZeroDuration()}),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        HasSubstr("upload_lifetime")));
+  EXPECT_THAT(
+      Store::Open(files_, directory_ / "d", {.kept_revision_count = -1}),
+      StatusIs(absl::StatusCode::kInvalidArgument,
+               HasSubstr("kept_revision_count")));
 }
 
 TEST_F(StoreTest, AChunkThatWasDamagedNamesItsPlace) {
@@ -261,6 +265,44 @@ TEST_F(StoreTest, ADeletedMapLivesAsLongAsItsReaders) {
   EXPECT_EQ(report.deleted_blob_count, 1);
   EXPECT_FALSE(std::filesystem::exists(PathOfBlob("a")));
   EXPECT_THAT(Contents(**store_->OpenSnapshot("other")), ElementsAre("shared"));
+}
+
+TEST_F(StoreTest, ExpiredRevisionsLiveAsLongAsTheirReaders) {
+  Open({.reserve_bytes = 0, .kept_revision_count = 1});
+  const MapRecord map = MakeMap("campus");
+  const auto replace = [&](const std::string& content) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto snapshot,
+                                  store_->OpenSnapshot("campus"));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const auto chunks,
+        snapshot->ListChunks(ChunkKind::kRaw, std::nullopt, std::nullopt, 10));
+    RevisionChange change;
+    for (const ChunkRef& chunk : chunks) change.removed.push_back(chunk.number);
+    const auto writer = store_->NewBlobWriter();
+    MAPSIEVE_ASSERT_OK(writer->Put(Bytes(content)));
+    change.added = {TestChunk(ChunkKind::kRaw, 0, 0, 0, content, 1)};
+    MAPSIEVE_ASSERT_OK(
+        store_->CommitRevision(map.uid, snapshot->revision().number, change));
+  };
+  replace("old");
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(auto old, store_->OpenSnapshot("campus"));
+  replace("between");
+  replace("new");
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const GarbageReport report,
+                                store_->ExpireRevisions());
+  EXPECT_EQ(report.expired_revision_count, 3);
+  EXPECT_EQ(report.deleted_blob_count, 1);
+  EXPECT_FALSE(std::filesystem::exists(PathOfBlob("between")));
+  EXPECT_THAT(Contents(*old), ElementsAre("old"));
+  EXPECT_THAT(store_->OpenSnapshot("campus", 2),
+              StatusIs(absl::StatusCode::kOutOfRange,
+                       AllOf(HasSubstr("expired"), HasSubstr("kept is 4"))));
+  EXPECT_EQ(Collect().deleted_blob_count, 0);
+  EXPECT_THAT(Contents(*old), ElementsAre("old"));
+  old.reset();
+  EXPECT_EQ(Collect().deleted_blob_count, 1);
+  EXPECT_FALSE(std::filesystem::exists(PathOfBlob("old")));
+  EXPECT_THAT(Contents(**store_->OpenSnapshot("campus")), ElementsAre("new"));
 }
 
 TEST_F(StoreTest, AFailedSnapshotPinsNothing) {
@@ -369,6 +411,20 @@ TEST_F(StoreTest, AFullDiskStopsWritersNotReaders) {
   EXPECT_THAT(writer->Append(0, Bytes("abc")), full);
   EXPECT_THAT(store_->NewBlobWriter()->Put(Bytes("abc")), full);
   EXPECT_THAT((*store_->NewScratch())->Write("x", Bytes("abc")), full);
+  EXPECT_THAT((*store_->NewScratch())->Append("x", Bytes("abc")), full);
+  EXPECT_THAT(store_->OpenRunScratch(map.uid)->Write("x", Bytes("abc")), full);
+  EXPECT_THAT(store_->CheckSpace(3), full);
+  EXPECT_THAT(
+      store_->CommitRevision(
+          map.uid, 2, Adding({TestChunk(ChunkKind::kRaw, 9, 0, 0, "a", 1)})),
+      full);
+  // What takes away goes on.
+  MAPSIEVE_EXPECT_OK(store_->CheckSpace(2));
+  MAPSIEVE_EXPECT_OK(store_->CommitRevision(map.uid, 2, {}));
+  const MapRecord other = MakeMap("other");
+  Commit(other, {});
+  MAPSIEVE_EXPECT_OK(store_->catalogue().DeleteMap("other"));
+  EXPECT_EQ(Collect().purged_map_count, 1);
   EXPECT_THAT(Contents(**store_->OpenSnapshot("campus")), ElementsAre("a"));
   // Space returns, and all goes on.
   files_.SetFreeBytes(2000);
