@@ -93,6 +93,8 @@ TEST(OpaqueRecords, ComeBackAsTheyWere) {
                            .map_uid = "map",
                            .options = kOptions};
   ExpectRoundTrip(process, FormatJobSpec(process), ParseJobSpec);
+  const JobSpec repair = {.verb = OperationVerb::kRepairMap, .map_uid = "map"};
+  ExpectRoundTrip(repair, FormatJobSpec(repair), ParseJobSpec);
   for (const std::optional<RegionShape>& region :
        {std::optional<RegionShape>(),
         std::optional<RegionShape>(Box{{-1, -2, -3}, {4, 5, 6.5}}),
@@ -136,6 +138,14 @@ TEST(OpaqueRecords, OutcomeHoldsTheResultOfItsVerb) {
       const JobOutcome deletion,
       ParseJobOutcome(FormatJobOutcome({start, report})));
   EXPECT_EQ(std::get<DeleteReport>(deletion.result), report);
+  const RepairReport repaired = {.damaged_chunk_count = 3,
+                                 .repaired_chunk_count = 1,
+                                 .raw_chunk_count = 1,
+                                 .obstacle = "revision 2"};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const JobOutcome repair,
+      ParseJobOutcome(FormatJobOutcome({start, repaired})));
+  EXPECT_EQ(std::get<RepairReport>(repair.result), repaired);
 }
 
 TEST(ProductChunk, RefusesColumnsThatAreNone) {
