@@ -1,5 +1,6 @@
 // What a repair makes again, byte for byte, and what it leaves alone.
 
+#include <algorithm>
 #include <filesystem>
 #include <functional>
 #include <iterator>
@@ -35,7 +36,7 @@ constexpr IngestLimits kIngest = {.block_bytes = 1 << 26,
 constexpr ProcessLimits kWriting = {.unit_points = 500,
                                     .tile_points = 1 << 26,
                                     .pending_bytes = 1 << 18,
-                                    .chunk_bytes = 20'000};
+                                    .chunk_bytes = 4'000};
 /// One unit, and one chunk for a tile.
 constexpr ProcessLimits kRepairing = {.unit_points = 1 << 26,
                                       .tile_points = 1 << 26,
@@ -104,6 +105,14 @@ TEST_F(RepairTest, MakesEveryDamagedChunkOfTheFilterAgain) {
   MAPSIEVE_ASSERT_OK(workshop_.Add(Split(MakeScene(70), 4)[0], kIngest));
   MAPSIEVE_ASSERT_OK(
       workshop_.Process(SceneOptions(DensityRule::kPaper), kWriting));
+  const std::vector<ChunkRef> products = workshop_.Chunks(ChunkKind::kProduct);
+  ASSERT_NE(std::adjacent_find(products.begin(), products.end(),
+                               [](const ChunkRef& a, const ChunkRef& b) {
+                                 return a.tile == b.tile &&
+                                        a.min_depth == b.min_depth;
+                               }),
+            products.end())
+      << "no tile has several chunks of the same depths";
   const Files made = Blobs(false);
   const Files raw = Blobs(true);
   ASSERT_GT(made.size(), 20U);
