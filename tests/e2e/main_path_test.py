@@ -292,9 +292,10 @@ class MainPath(unittest.TestCase):
         whole = self.mapsieve("query", "worn", "-o", answer)
         points = self.rows(answer)
 
-        # One chunk that the query reads.
+        # The largest chunk that the query reads.
         blobs = self.work / "data" / "blobs"
-        for victim in sorted(blobs.glob("??/*")):
+        for victim in sorted(blobs.glob("??/*"), reverse=True,
+                             key=lambda path: path.stat().st_size):
             stored = victim.read_bytes()
             victim.unlink()
             result = self.run_command("query", "worn", "-o", answer)
