@@ -84,9 +84,9 @@ class LocalBlobStore final : public BlobStore {
     MAPSIEVE_ASSIGN_OR_RETURN(std::vector<std::byte> bytes,
                               ReadExactly(*file, PathOf(id), 0, size));
     if (const std::string hash = ContentHash(bytes); hash != id) {
-      return absl::DataLossError(
-          absl::StrCat(PathOf(id), ": damaged: expected content of hash ", id,
-                       ", the ", size, " bytes have ", hash));
+      return absl::DataLossError(absl::StrCat(PathOf(id), ", bytes 0 to ", size,
+                                              ": expected content of hash ", id,
+                                              ", found ", hash));
     }
     return bytes;
   }
@@ -104,6 +104,8 @@ class LocalBlobStore final : public BlobStore {
     }
     return ReadExactly(*file, PathOf(id), offset, size);
   }
+
+  std::string Location(const BlobId& id) const override { return PathOf(id); }
 
   absl::StatusOr<int64_t> Size(const BlobId& id) const override {
     MAPSIEVE_RETURN_IF_ERROR(CheckId(id));

@@ -1,6 +1,7 @@
 #include "storage/store.h"
 
 #include <algorithm>
+#include <string_view>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -26,6 +27,18 @@ constexpr int64_t kMaxReserveBytes = int64_t{1} << 50;
 constexpr int64_t kCollectionPage = 1000;
 // A reference with its entries in indices, in the log and in the database.
 constexpr int64_t kCommitBytesPerChunk = 1024;
+
+std::string_view ChunkKindName(ChunkKind kind) {
+  switch (kind) {
+    case ChunkKind::kRaw:
+      return "raw";
+    case ChunkKind::kProduct:
+      return "product";
+    case ChunkKind::kHistory:
+      return "history";
+  }
+  return "";
+}
 
 absl::Status CheckIsDataDirectory(FileSystem& file_system,
                                   const std::string& directory) {
@@ -107,25 +120,33 @@ absl::StatusOr<std::vector<TileSummary>> ReadSnapshot::ListTiles(
 
 absl::StatusOr<std::vector<std::byte>> ReadSnapshot::ReadChunk(
     const ChunkRef& chunk) const {
-  const auto context = [&] {
-    return absl::StrCat("map ", map_.spec.id, ", revision ", revision_.number,
-                        ", tile ", chunk.tile.ToString());
-  };
   const auto size = store_.blobs_->Size(chunk.blob_id);
   if (absl::IsNotFound(size.status())) {
-    return absl::DataLossError(absl::StrCat(context(), ": blob ", chunk.blob_id,
-                                            " of ", chunk.stored_bytes,
-                                            " bytes is missing"));
+    return absl::DataLossError(absl::StrCat(Describe(chunk), ": expected ",
+                                            chunk.stored_bytes,
+                                            " bytes, found no file"));
   }
-  if (!size.ok()) return Annotate(size.status(), context());
+  if (!size.ok()) return Annotate(size.status(), Describe(chunk));
   if (*size != chunk.stored_bytes) {
-    return absl::DataLossError(absl::StrCat(context(), ": blob ", chunk.blob_id,
-                                            ": expected ", chunk.stored_bytes,
-                                            " bytes, it has ", *size));
+    return absl::DataLossError(
+        absl::StrCat(Describe(chunk), ": expected ", chunk.stored_bytes,
+                     " bytes, found the end of the file at offset ", *size));
   }
   auto bytes = store_.blobs_->Get(chunk.blob_id);
-  if (!bytes.ok()) return Annotate(bytes.status(), context());
+  if (!bytes.ok()) return Annotate(bytes.status(), NameOf(chunk));
   return bytes;
+}
+
+std::string ReadSnapshot::NameOf(const ChunkRef& chunk) const {
+  return absl::StrCat("map ", map_.spec.id, ", revision ", revision_.number,
+                      ", tile ", chunk.tile.ToString(), ", ",
+                      ToAbsl(ChunkKindName(chunk.kind)), " chunk ",
+                      chunk.number);
+}
+
+std::string ReadSnapshot::Describe(const ChunkRef& chunk) const {
+  return absl::StrCat(NameOf(chunk), ": ",
+                      store_.blobs_->Location(chunk.blob_id));
 }
 
 BlobWriter::~BlobWriter() {

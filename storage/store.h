@@ -84,13 +84,17 @@ class ReadSnapshot {
   absl::StatusOr<int64_t> CountAllChunks() const;
 
   /// The bytes of a chunk of this snapshot, or of another revision of its map,
-  /// checked. kDataLoss, naming map,
-  /// tile and blob: the blob is missing, or not what was stored.
+  /// checked. kDataLoss: the blob is missing, or not what was stored; with
+  /// Describe, the offsets, and what was expected and found.
   absl::StatusOr<std::vector<std::byte>> ReadChunk(const ChunkRef& chunk) const;
+  /// Map, revision, tile, chunk and file, for messages.
+  std::string Describe(const ChunkRef& chunk) const;
 
  private:
   friend class Store;
   ReadSnapshot(Store& store, MapRecord map, int64_t number);
+  /// Describe without the file.
+  std::string NameOf(const ChunkRef& chunk) const;
 
   Store& store_;
   const MapRecord map_;

@@ -263,8 +263,14 @@ QueryHeader FromProto(const v1::QueryHeader& header) {
 }
 
 QuerySummary FromProto(const v1::QuerySummary& summary) {
-  return {.point_count = summary.point_count(),
-          .label_counts = FromProto(summary.label_counts())};
+  QuerySummary result = {.point_count = summary.point_count(),
+                         .label_counts = FromProto(summary.label_counts()),
+                         .missing_chunk_count = summary.missing_chunk_count(),
+                         .missing_point_count = summary.missing_point_count()};
+  for (const v1::DamagedChunk& chunk : summary.missing_chunks()) {
+    result.missing_chunks.push_back(FromProto(chunk));
+  }
+  return result;
 }
 
 v1::SpdfOptions ToProto(const ProcessOptions& options) {
@@ -311,6 +317,7 @@ v1::QueryRegionRequest ToProto(const QuerySpec& spec) {
     columns->set_all_attributes(spec.columns->all_attributes);
   }
   request.set_raw(spec.raw);
+  request.set_allow_partial(spec.allow_partial);
   if (spec.centroids) {
     request.set_representative(v1::REPRESENTATIVE_CENTROID);
   }

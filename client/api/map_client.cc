@@ -518,6 +518,28 @@ absl::StatusOr<VerifyReport> MapClient::Verify(
   return report;
 }
 
+absl::StatusOr<RepairReport> MapClient::Repair(
+    const std::string& map_id, const ProgressCallback& progress) {
+  v1::Operation operation;
+  {
+    grpc::ClientContext context;
+    v1::RepairMapRequest request;
+    request.set_name(MapName(map_id));
+    MAPSIEVE_RETURN_IF_ERROR(
+        ToStatus(connection_->maps->RepairMap(&context, request, &operation)));
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const google::protobuf::Any result,
+                            connection_->Wait(operation.name(), progress));
+  v1::RepairMapResponse response;
+  if (!result.UnpackTo(&response)) {
+    return absl::InternalError("the server's result is of another type");
+  }
+  return RepairReport{.damaged_chunk_count = response.damaged_chunk_count(),
+                      .repaired_chunk_count = response.repaired_chunk_count(),
+                      .raw_chunk_count = response.raw_chunk_count(),
+                      .obstacle = response.obstacle()};
+}
+
 absl::StatusOr<std::unique_ptr<QueryStream>> MapClient::Query(
     const QuerySpec& spec) {
   auto stream = std::make_unique<GrpcQueryStream>(*connection_->queries, spec);

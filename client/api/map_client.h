@@ -92,6 +92,13 @@ class MapClient {
                                       int64_t compared_tile_count,
                                       const ProgressCallback& progress = {});
 
+  /// Makes the damaged and missing chunks of products and histories, of all
+  /// revisions, again from raw points and waits until that is done. What cannot
+  /// be made again is in the report and no error. kNotFound; kAborted: a repair
+  /// of the map is going on. `progress` counts chunks.
+  absl::StatusOr<RepairReport> Repair(const std::string& map_id,
+                                      const ProgressCallback& progress = {});
+
   /// Starts the filter over a map and returns the operation's id. No options:
   /// those of the map's last run. kFailedPrecondition (empty map), kAborted (a
   /// run is going on).

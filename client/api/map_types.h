@@ -218,7 +218,8 @@ struct DamagedChunk {
   core::LatticePoint tile;
   /// Names the stored object.
   std::string blob_id;
-  /// What was expected and what was found.
+  /// Map, revision, tile, chunk, file, offset, what was expected and what was
+  /// found.
   std::string problem;
 };
 
@@ -242,6 +243,18 @@ struct VerifyReport {
   /// Tiles that were not compared: too many points for the server's memory, or
   /// damaged ones.
   int64_t skipped_tile_count = 0;
+};
+
+/// What MapClient::Repair did.
+struct RepairReport {
+  /// Chunks, of all revisions, that were missing or not what was stored.
+  int64_t damaged_chunk_count = 0;
+  /// Of these, chunks that are there again, byte for byte.
+  int64_t repaired_chunk_count = 0;
+  /// Of these, chunks of raw points, which nothing makes again.
+  int64_t raw_chunk_count = 0;
+  /// Why one of the others could not be made again; empty if all were.
+  std::string obstacle;
 };
 
 /// What the filter says of a point; the answer's columns for each are named in
@@ -282,6 +295,9 @@ struct QuerySpec {
   bool raw = false;
   /// Centroids instead of the points nearest to them, under a budget.
   bool centroids = false;
+  /// Damaged chunks are left out and told of in the summary; else they are
+  /// kDataLoss.
+  bool allow_partial = false;
 };
 
 /// What the answer to a query has in common.
@@ -297,6 +313,12 @@ struct QueryHeader {
 struct QuerySummary {
   int64_t point_count = 0;
   core::LabelCounts label_counts{};
+  /// With allow_partial: chunks left out that may hold points asked for, and
+  /// all their points with the labels asked for.
+  int64_t missing_chunk_count = 0;
+  int64_t missing_point_count = 0;
+  /// The first 1000 of these chunks.
+  std::vector<DamagedChunk> missing_chunks;
 };
 
 /// Work that goes on in the server.
@@ -304,7 +326,7 @@ struct OperationInfo {
   std::string id;
   /// "maps/{map}" or the name of an upload.
   std::string target;
-  /// "ProcessMap", "FinalizeUpload" or "DeleteRegion".
+  /// "ProcessMap", "FinalizeUpload", "DeleteRegion" or "RepairMap".
   std::string verb;
   bool done = false;
   int64_t done_work = 0;

@@ -53,6 +53,7 @@ struct QueryCommand {
   QuerySpec spec;
   std::string output;
 };
+/// Chunks that spec.allow_partial leaves out are lines on stderr and no error.
 absl::Status RunQuery(const CommonOptions& common, const QueryCommand& command);
 
 struct DeleteRegionCommand {
@@ -91,8 +92,10 @@ struct VerifyCommand {
   std::string map;
   /// Tiles to filter again.
   int64_t compared_tile_count = 0;
+  /// Make damaged chunks again before.
+  bool repair = false;
 };
-/// kDataLoss if anything is damaged or differs.
+/// kDataLoss if anything is damaged, after the repair, or differs.
 absl::Status RunVerify(const CommonOptions& common,
                        const VerifyCommand& command);
 

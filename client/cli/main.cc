@@ -199,6 +199,9 @@ void AddVerify(CLI::App& app, const CommonOptions& common, Run& run) {
                    "With --tiling: how many tiles, evenly spread (default 16)")
       ->check(CLI::Range(int64_t{1}, int64_t{1'000'000}))
       ->needs(tiling);
+  command->add_flag("--repair", verify->repair,
+                    "Make damaged chunks of the filter's results again from "
+                    "the uploaded points before, byte for byte");
   command->callback([=, &common, &run] {
     if (tiling->count() > 0 && verify->compared_tile_count == 0) {
       verify->compared_tile_count = kDefaultTiles;
@@ -264,6 +267,9 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
       ->excludes(spacing_option);
   command->add_option("--revision", options->spec.revision,
                       "Default: the newest processed one");
+  command->add_flag("--allow-partial", options->spec.allow_partial,
+                    "Leave damaged chunks out, name each on stderr and exit 0, "
+                    "instead of failing");
   command->add_option("-o,--output", options->output, "LAS, PCD, PLY or CSV")
       ->required();
   command->callback([=, &common, &run] {

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cmath>
@@ -166,6 +167,34 @@ absl::StatusOr<Json> Process(MapClient& client, const std::string& map,
   return ProcessJson(map, *report, SecondsSince(start));
 }
 
+/// A line for each chunk that a partial answer leaves out.
+void TellMissing(const QuerySummary& summary) {
+  for (const DamagedChunk& chunk : summary.missing_chunks) {
+    std::fprintf(stderr, "mapsieve: left out: %s\n", chunk.problem.c_str());
+  }
+  const int64_t untold = summary.missing_chunk_count -
+                         static_cast<int64_t>(summary.missing_chunks.size());
+  if (untold > 0) {
+    std::fprintf(stderr, "mapsieve: left out: %lld more chunks\n",
+                 static_cast<long long>(untold));
+  }
+}
+
+/// About the damaged chunks of `report`.
+std::string WhatToDo(const VerifyCommand& command, const VerifyReport& report) {
+  const auto raw_count =
+      std::count_if(report.damaged_chunks.begin(), report.damaged_chunks.end(),
+                    [](const DamagedChunk& c) { return c.content == "raw"; });
+  if (raw_count > 0) {
+    return absl::StrCat(
+        "of these, raw: ", raw_count,
+        ": restore their blobs from a backup, or delete their regions and "
+        "upload the scans again");
+  }
+  if (!command.repair) return "verify with --repair makes them again";
+  return "restore their blobs from a backup";
+}
+
 }  // namespace
 
 absl::Status RunCreate(const CommonOptions& common,
@@ -259,14 +288,18 @@ absl::Status RunQuery(const CommonOptions& common,
     }
   }
   MAPSIEVE_RETURN_IF_ERROR(writer->Finish());
-  PrintResult(common.json, {{"map", map.id},
-                            {"revision", stream->header().revision},
-                            {"point_count", count},
-                            {"label_counts",
-                             LabelCountsJson(stream->summary().label_counts)},
-                            {"header_s", first_s},
-                            {"query_s", SecondsSince(start)},
-                            {"output", command.output}});
+  const QuerySummary& summary = stream->summary();
+  TellMissing(summary);
+  PrintResult(common.json,
+              {{"map", map.id},
+               {"revision", stream->header().revision},
+               {"point_count", count},
+               {"label_counts", LabelCountsJson(summary.label_counts)},
+               {"missing_chunk_count", summary.missing_chunk_count},
+               {"missing_point_count", summary.missing_point_count},
+               {"header_s", first_s},
+               {"query_s", SecondsSince(start)},
+               {"output", command.output}});
   return absl::OkStatus();
 }
 
@@ -379,6 +412,11 @@ absl::Status RunVerify(const CommonOptions& common,
   MapClient client(common.server);
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(command.map));
   const auto start = Clock::now();
+  RepairReport repair;
+  if (command.repair) {
+    ProgressBar bar("repair " + map.id, "chunks");
+    MAPSIEVE_ASSIGN_OR_RETURN(repair, client.Repair(map.id, Show(bar)));
+  }
   absl::StatusOr<VerifyReport> report;
   {
     ProgressBar bar("verify " + map.id, "chunks and tiles");
@@ -397,21 +435,26 @@ absl::Status RunVerify(const CommonOptions& common,
     differing.push_back({{"tile_corner", TileCorner(map, tile.tile)},
                          {"difference", tile.difference}});
   }
-  PrintResult(common.json,
-              {{"map", map.id},
-               {"chunk_count", report->chunk_count},
-               {"stored_bytes", report->stored_bytes},
-               {"damaged_chunks", std::move(damaged)},
-               {"compared_tile_count", report->compared_tile_count},
-               {"compared_point_count", report->compared_point_count},
-               {"differing_tiles", std::move(differing)},
-               {"skipped_tile_count", report->skipped_tile_count},
-               {"verify_s", SecondsSince(start)}});
+  Json result = {{"map", map.id}};
+  if (command.repair) {
+    result["repaired_chunk_count"] = repair.repaired_chunk_count;
+    if (!repair.obstacle.empty()) {
+      result["repair_obstacle"] = repair.obstacle;
+    }
+  }
+  result.update({{"chunk_count", report->chunk_count},
+                 {"stored_bytes", report->stored_bytes},
+                 {"damaged_chunks", std::move(damaged)},
+                 {"compared_tile_count", report->compared_tile_count},
+                 {"compared_point_count", report->compared_point_count},
+                 {"differing_tiles", std::move(differing)},
+                 {"skipped_tile_count", report->skipped_tile_count},
+                 {"verify_s", SecondsSince(start)}});
+  PrintResult(common.json, result);
   if (!report->damaged_chunks.empty()) {
     return absl::DataLossError(absl::StrCat(
         "map ", map.id, ": damaged chunks: ", report->damaged_chunks.size(),
-        ", listed above; restore their blobs from a backup, or delete their "
-        "regions and upload the scans again"));
+        ", listed above; ", WhatToDo(command, *report)));
   }
   if (!report->differing_tiles.empty()) {
     return absl::DataLossError(absl::StrCat(

@@ -35,10 +35,7 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
     status = absl::DataLossError(absl::StrCat(
         "expected ", chunk.point_count, " points, found ", points->size()));
   }
-  if (!status.ok()) {
-    return Annotate(status, absl::StrCat("blob ", chunk.blob_id, " of tile ",
-                                         chunk.tile.ToString()));
-  }
+  if (!status.ok()) return Annotate(status, snapshot.Describe(chunk));
   if (std::is_sorted(points->positions.begin(), points->positions.end(),
                      IsBefore)) {
     return points;

@@ -12,8 +12,8 @@
 namespace mapsieve::engine {
 
 /// The points of a chunk in Morton order. Errors of ReadSnapshot::ReadChunk and
-/// DecodePoints, naming tile and blob; kDataLoss: not as many points as the
-/// catalogue says.
+/// DecodePoints, with ReadSnapshot::Describe; kDataLoss: not as many points as
+/// the catalogue says.
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options = {});

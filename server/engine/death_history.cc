@@ -16,7 +16,9 @@ using storage::ChunkRef;
 
 constexpr uint8_t kVersion = 1;
 
-std::vector<std::byte> Encode(std::span<const DeathRound> deaths) {
+}  // namespace
+
+std::vector<std::byte> EncodeDeaths(std::span<const DeathRound> deaths) {
   const auto plain = std::as_bytes(deaths);
   const std::vector<std::byte> packed =
       core::Compress(core::Compression::kLz4, plain);
@@ -28,6 +30,8 @@ std::vector<std::byte> Encode(std::span<const DeathRound> deaths) {
   writer.PutBytes(packed.empty() ? plain : packed);
   return std::move(writer.bytes());
 }
+
+namespace {
 
 /// Appends the `point_count` entries of a chunk's bytes to `deaths`.
 absl::Status Decode(std::span<const std::byte> bytes, int64_t point_count,
@@ -62,7 +66,8 @@ absl::StatusOr<std::vector<ChunkRef>> DeathHistoryWriter::Write(
   std::vector<ChunkRef> chunks;
   for (size_t begin = 0; begin < deaths.size(); begin += kChunkPoints) {
     const size_t count = std::min(kChunkPoints, deaths.size() - begin);
-    const std::vector<std::byte> bytes = Encode(deaths.subspan(begin, count));
+    const std::vector<std::byte> bytes =
+        EncodeDeaths(deaths.subspan(begin, count));
     ChunkRef chunk = {.kind = storage::ChunkKind::kHistory,
                       .tile = tile,
                       .point_count = static_cast<int64_t>(count),
@@ -79,10 +84,8 @@ absl::StatusOr<std::vector<DeathRound>> ReadDeaths(
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> bytes,
                             snapshot.ReadChunk(chunk));
   std::vector<DeathRound> deaths;
-  MAPSIEVE_RETURN_IF_ERROR(
-      Annotate(Decode(bytes, chunk.point_count, deaths),
-               absl::StrCat("blob ", chunk.blob_id, " of tile ",
-                            chunk.tile.ToString())));
+  MAPSIEVE_RETURN_IF_ERROR(Annotate(Decode(bytes, chunk.point_count, deaths),
+                                    snapshot.Describe(chunk)));
   return deaths;
 }
 

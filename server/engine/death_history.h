@@ -16,6 +16,9 @@
 /// history chunks (storage/FORMAT.md has their bytes).
 namespace mapsieve::engine {
 
+/// The bytes of a history chunk.
+std::vector<std::byte> EncodeDeaths(std::span<const core::DeathRound> deaths);
+
 /// Stores histories. Chunks are safe from collection while the writer lives:
 /// destroy it after the commit. Thread-safe.
 class DeathHistoryWriter {
@@ -32,13 +35,12 @@ class DeathHistoryWriter {
   const std::unique_ptr<storage::BlobWriter> blobs_;
 };
 
-/// What one chunk of the snapshot's map holds. kDataLoss, naming blob and tile:
-/// damaged.
+/// What one chunk of the snapshot's map holds. kDataLoss, with
+/// ReadSnapshot::Describe: damaged.
 absl::StatusOr<std::vector<core::DeathRound>> ReadDeaths(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk);
 
-/// What was written for the tile; empty if nothing was. kDataLoss, naming blob
-/// and tile: damaged.
+/// What was written for the tile; empty if nothing was. kDataLoss as above.
 absl::StatusOr<std::vector<core::DeathRound>> ReadDeaths(
     const storage::ReadSnapshot& snapshot, const core::CellKey& tile);
 

@@ -18,6 +18,7 @@
 #include "server/engine/opaque_records.h"
 #include "server/engine/process_map.h"
 #include "server/engine/region_query.h"
+#include "server/engine/repair_map.h"
 #include "server/engine/request_checks.h"
 #include "server/engine/revision_report.h"
 #include "server/engine/verify_map.h"
@@ -475,6 +476,15 @@ class LocalEngine final : public Engine {
     return OpenVerification(*store_, query_memory_, spec, std::move(stop));
   }
 
+  absl::StatusOr<Operation> RepairMap(const std::string& map_id) override {
+    MutexLock lock(admin_mutex_);
+    MAPSIEVE_ASSIGN_OR_RETURN(const storage::MapRecord map,
+                              catalogue().GetMap(map_id));
+    return jobs_->Start(map_id,
+                        {.verb = OperationVerb::kRepairMap, .map_uid = map.uid},
+                        /*is_unique=*/true);
+  }
+
  private:
   storage::Catalogue& catalogue() { return store_->catalogue(); }
 
@@ -617,6 +627,8 @@ class LocalEngine final : public Engine {
         return RunProcess(map_id, spec, context);
       case OperationVerb::kDeleteRegion:
         return RunDelete(map_id, spec, context);
+      case OperationVerb::kRepairMap:
+        return RunRepair(map_id, spec, context);
     }
     return absl::InternalError("an operation of no verb");
   }
@@ -649,6 +661,17 @@ class LocalEngine final : public Engine {
         const ProcessReport report,
         ProcessStoredMap(*store_, map_id, spec.map_uid, spec.options,
                          process_limits_, *io_workers_, context));
+    return JobResult(report);
+  }
+
+  absl::StatusOr<JobResult> RunRepair(const std::string& map_id,
+                                      const JobSpec& spec,
+                                      ExecutionContext context) {
+    context.executor = filter_workers_.get();
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const RepairReport report,
+        RepairStoredMap(*store_, map_id, spec.map_uid, process_limits_,
+                        *io_workers_, context));
     return JobResult(report);
   }
 

@@ -232,6 +232,15 @@ class Engine {
   /// map was never processed.
   virtual absl::StatusOr<std::unique_ptr<VerifyCursor>> Verify(
       const VerifySpec& spec, std::stop_token stop) = 0;
+  /// Starts the operation that reads every stored chunk of a map and makes the
+  /// damaged and missing ones of products and histories, of all revisions,
+  /// again from raw points, byte for byte. It makes no revision; queries go on
+  /// beside it. What cannot be made again is in its report and no error.
+  /// kAborted: a repair of the map waits or is going on (it is named);
+  /// kResourceExhausted: too many operations wait. Errors of the operation:
+  /// kCancelled, kUnavailable, kDataLoss (the catalogue); what was repaired by
+  /// then stays.
+  virtual absl::StatusOr<Operation> RepairMap(const std::string& map_id) = 0;
 };
 
 }  // namespace mapsieve::engine

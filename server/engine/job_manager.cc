@@ -31,8 +31,16 @@ std::string_view VerbName(OperationVerb verb) {
       return "ProcessMap";
     case OperationVerb::kDeleteRegion:
       return "DeleteRegion";
+    case OperationVerb::kRepairMap:
+      return "RepairMap";
   }
   return "";
+}
+
+/// Whether an operation runs the filter.
+bool Filters(OperationVerb verb) {
+  return verb == OperationVerb::kProcessMap ||
+         verb == OperationVerb::kRepairMap;
 }
 
 /// Work done so far, written by the job's thread and read by others.
@@ -59,6 +67,8 @@ void SetResult(const JobResult& result, Operation& operation) {
     operation.process_report = *process;
   } else if (const auto* deletion = std::get_if<DeleteReport>(&result)) {
     operation.delete_report = *deletion;
+  } else if (const auto* repair = std::get_if<RepairReport>(&result)) {
+    operation.repair_report = *repair;
   }
 }
 
@@ -66,6 +76,7 @@ JobResult ResultOf(const Operation& operation) {
   if (operation.upload_report.has_value()) return *operation.upload_report;
   if (operation.process_report.has_value()) return *operation.process_report;
   if (operation.delete_report.has_value()) return *operation.delete_report;
+  if (operation.repair_report.has_value()) return *operation.repair_report;
   return std::monostate();
 }
 
@@ -269,8 +280,8 @@ void JobManager::Call(std::map<int64_t, std::function<void()>> watchers) {
 std::shared_ptr<JobManager::Job> JobManager::NextJob(bool filters) {
   for (const auto& [number, job] : jobs_) {
     if (job->operation.state == OperationState::kQueued &&
-        (job->operation.verb == OperationVerb::kProcessMap) == filters &&
-        !job->is_held && !busy_maps_.contains(job->spec.map_uid)) {
+        Filters(job->operation.verb) == filters && !job->is_held &&
+        !busy_maps_.contains(job->spec.map_uid)) {
       return job;
     }
   }

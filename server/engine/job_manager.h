@@ -96,8 +96,8 @@ class JobManager {
   JobManager(storage::Catalogue& catalogue, const JobLimits& limits,
              Runner runner);
   absl::Status Load();
-  /// `filters`: the lane of kProcessMap; else that of all other verbs, which
-  /// share their memory.
+  /// `filters`: the lane of verbs that run the filter; else that of all others.
+  /// Those of a lane share their memory.
   void RunLane(bool filters);
   std::shared_ptr<Job> NextJob(bool filters)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);

@@ -10,17 +10,22 @@
 namespace mapsieve::engine {
 namespace {
 
-/// Options of version 1 belong to products whose directions have 16 bits a side:
-/// they never equal present ones, so that such a product is made anew and not
-/// brought up to date. Nothing else sets the versions apart.
-constexpr uint8_t kVersion = 2;
+/// Options of version 1 belong to products whose directions have 16 bits a
+/// side: they never equal present ones, so that such a product is made anew and
+/// not brought up to date. Of records of operations, 2 has what concerns
+/// repairs. All others are 1.
+constexpr uint8_t kVersion = 1;
+constexpr uint8_t kOptionsVersion = 2;
+constexpr uint8_t kJobVersion = 2;
 
 // Each record has one function Visit, which names its fields in their order:
 // the writer and the reader below walk through the same list.
 
 class Writer {
  public:
-  Writer() { writer_.Put(kVersion); }
+  explicit Writer(uint8_t version) : version_(version) { writer_.Put(version); }
+
+  uint8_t version() const { return version_; }
 
   template <Scalar T>
   void Field(const char* /*name*/, const T& value) {
@@ -40,20 +45,23 @@ class Writer {
   }
 
  private:
+  const uint8_t version_;
   ByteWriter writer_;
 };
 
 /// Remembers the first error and leaves fields alone after it.
 class Reader {
  public:
-  explicit Reader(std::string_view bytes) : reader_(TextBytes(bytes)) {
-    uint8_t version = 0;
-    Field("version", version);
-    if (status_.ok() && (version < 1 || version > kVersion)) {
-      status_ = absl::DataLossError(
-          absl::StrCat("version ", version, ", expected 1 to ", kVersion));
+  Reader(std::string_view bytes, uint8_t newest_version)
+      : reader_(TextBytes(bytes)) {
+    Field("version", version_);
+    if (status_.ok() && (version_ < 1 || version_ > newest_version)) {
+      status_ = absl::DataLossError(absl::StrCat(
+          "version ", version_, ", expected at most ", newest_version));
     }
   }
+
+  uint8_t version() const { return version_; }
 
   template <Scalar T>
   void Field(const char* name, T& value) {
@@ -87,6 +95,7 @@ class Reader {
   }
 
   ByteReader reader_;
+  uint8_t version_ = 0;
   absl::Status status_;
 };
 
@@ -151,6 +160,14 @@ void VisitDeleteReport(V& v, T& report) {
 }
 
 template <typename V, typename T>
+void VisitRepairReport(V& v, T& report) {
+  v.Field("damaged_chunk_count", report.damaged_chunk_count);
+  v.Field("repaired_chunk_count", report.repaired_chunk_count);
+  v.Field("raw_chunk_count", report.raw_chunk_count);
+  v.Field("obstacle", report.obstacle);
+}
+
+template <typename V, typename T>
 void VisitUploadReport(V& v, T& report) {
   v.Field("revision", report.revision);
   v.Field("added_point_count", report.added_point_count);
@@ -198,6 +215,9 @@ void VisitJobSpec(V& v, T& spec) {
     VisitRegion(v, spec.region);
     v.Field("edit_uid", spec.edit_uid);
     v.Field("base_revision", spec.base_revision);
+  } else if (v.version() >= 2 &&
+             v.Presence("is_repair", spec.verb == OperationVerb::kRepairMap)) {
+    if constexpr (!std::is_const_v<T>) spec.verb = OperationVerb::kRepairMap;
   } else {
     VisitOptions(v, spec.options);
   }
@@ -227,20 +247,25 @@ void VisitOutcome(V& v, T& outcome) {
   VisitResult<DeleteReport>(
       v, "is_delete_report", outcome,
       [](auto& w, auto& report) { VisitDeleteReport(w, report); });
+  if (v.version() < 2) return;
+  VisitResult<RepairReport>(
+      v, "is_repair_report", outcome,
+      [](auto& w, auto& report) { VisitRepairReport(w, report); });
 }
 
 template <typename T, typename Visit>
-std::string Format(const T& record, const Visit& visit) {
-  Writer writer;
+std::string Format(const T& record, const Visit& visit,
+                   uint8_t version = kVersion) {
+  Writer writer(version);
   visit(writer, record);
   return std::move(writer).Text();
 }
 
 template <typename T, typename Visit>
 absl::StatusOr<T> Parse(std::string_view bytes, std::string_view name,
-                        const Visit& visit) {
+                        const Visit& visit, uint8_t newest_version = kVersion) {
   T record;
-  Reader reader(bytes);
+  Reader reader(bytes, newest_version);
   visit(reader, record);
   MAPSIEVE_RETURN_IF_ERROR(reader.Finish(name));
   return record;
@@ -256,10 +281,11 @@ constexpr auto kOutcome = [](auto& v, auto& r) { VisitOutcome(v, r); };
 }  // namespace
 
 std::string FormatSpdfOptions(const core::SpdfOptions& options) {
-  return Format(options, kOptions);
+  return Format(options, kOptions, kOptionsVersion);
 }
 absl::StatusOr<core::SpdfOptions> ParseSpdfOptions(std::string_view bytes) {
-  return Parse<core::SpdfOptions>(bytes, "stored filter options", kOptions);
+  return Parse<core::SpdfOptions>(bytes, "stored filter options", kOptions,
+                                  kOptionsVersion);
 }
 
 std::string FormatUploadReport(const UploadReport& report) {
@@ -283,16 +309,20 @@ absl::StatusOr<EditRecord> ParseEditRecord(std::string_view bytes) {
   return Parse<EditRecord>(bytes, "stored description of an edit", kEdit);
 }
 
-std::string FormatJobSpec(const JobSpec& spec) { return Format(spec, kSpec); }
+std::string FormatJobSpec(const JobSpec& spec) {
+  return Format(spec, kSpec, kJobVersion);
+}
 absl::StatusOr<JobSpec> ParseJobSpec(std::string_view bytes) {
-  return Parse<JobSpec>(bytes, "stored request of an operation", kSpec);
+  return Parse<JobSpec>(bytes, "stored request of an operation", kSpec,
+                        kJobVersion);
 }
 
 std::string FormatJobOutcome(const JobOutcome& outcome) {
-  return Format(outcome, kOutcome);
+  return Format(outcome, kOutcome, kJobVersion);
 }
 absl::StatusOr<JobOutcome> ParseJobOutcome(std::string_view bytes) {
-  return Parse<JobOutcome>(bytes, "stored outcome of an operation", kOutcome);
+  return Parse<JobOutcome>(bytes, "stored outcome of an operation", kOutcome,
+                           kJobVersion);
 }
 
 }  // namespace mapsieve::engine

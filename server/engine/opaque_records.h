@@ -67,8 +67,8 @@ std::string FormatJobSpec(const JobSpec& spec);
 absl::StatusOr<JobSpec> ParseJobSpec(std::string_view bytes);
 
 /// What an operation answers besides its state; nothing before it succeeded.
-using JobResult =
-    std::variant<std::monostate, UploadReport, ProcessReport, DeleteReport>;
+using JobResult = std::variant<std::monostate, UploadReport, ProcessReport,
+                               DeleteReport, RepairReport>;
 struct JobOutcome {
   absl::Time start_time;
   JobResult result;

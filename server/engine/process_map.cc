@@ -181,7 +181,10 @@ class MapRun {
 
   /// Filters all tiles.
   absl::StatusOr<ProcessReport> FilterAll() {
-    MAPSIEVE_RETURN_IF_ERROR(OpenTiles(nullptr));
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        checkpoint_, RunCheckpoint::Open(
+                         store_.OpenRunScratch(snapshot_.map().uid), RunKey()));
+    MAPSIEVE_RETURN_IF_ERROR(OpenTiles(nullptr, nullptr));
     MAPSIEVE_ASSIGN_OR_RETURN(
         const core::SpdfSummary summary,
         core::FilterTiles(*tiles_, lattice_, options_, tiling_, context_));
@@ -198,7 +201,7 @@ class MapRun {
 
   /// Filters what has changed.
   absl::StatusOr<ProcessReport> Update(const Previous& previous) {
-    MAPSIEVE_RETURN_IF_ERROR(OpenTiles(&previous));
+    MAPSIEVE_RETURN_IF_ERROR(OpenTiles(&previous, nullptr));
     MAPSIEVE_ASSIGN_OR_RETURN(
         const core::UpdateSummary update,
         core::UpdateTiles(*tiles_, *tiles_, previous.changes, lattice_,
@@ -243,21 +246,26 @@ class MapRun {
     return Commit(totals, std::move(change), &previous);
   }
 
+  /// Filters all tiles and gives them to `repair`.
+  absl::Status Repair(const ChunkRepair& repair) {
+    MAPSIEVE_RETURN_IF_ERROR(OpenTiles(nullptr, &repair));
+    MAPSIEVE_RETURN_IF_ERROR(
+        core::FilterTiles(*tiles_, lattice_, options_, tiling_, context_)
+            .status());
+    MAPSIEVE_RETURN_IF_ERROR(tiles_->Flush());
+    return WriteLevels(nullptr);
+  }
+
  private:
-  absl::Status OpenTiles(const Previous* previous) {
+  absl::Status OpenTiles(const Previous* previous, const ChunkRepair* repair) {
     MAPSIEVE_ASSIGN_OR_RETURN(scratch_, store_.NewScratch());
-    if (previous == nullptr) {
-      MAPSIEVE_ASSIGN_OR_RETURN(
-          checkpoint_,
-          RunCheckpoint::Open(store_.OpenRunScratch(snapshot_.map().uid),
-                              RunKey()));
-    }
     levels_ = std::make_unique<ProductLevels>(
         store_, snapshot_, *scratch_,
         ProductLevels::Options{.max_pending_bytes = limits_.pending_bytes,
                                .max_chunk_bytes = limits_.chunk_bytes,
                                .io = &io_,
-                               .stop = context_.stop});
+                               .stop = context_.stop,
+                               .repair = repair});
     MAPSIEVE_ASSIGN_OR_RETURN(
         tiles_, StoredTiles::Open(
                     store_, snapshot_,
@@ -268,7 +276,8 @@ class MapRun {
                     {.max_pending_bytes = limits_.pending_bytes,
                      .io = &io_,
                      .stop = context_.stop,
-                     .checkpoint = checkpoint_.get()}));
+                     .checkpoint = checkpoint_.get(),
+                     .repair = repair}));
     return CheckTiles();
   }
 
@@ -333,6 +342,17 @@ class MapRun {
   }
 
   /// `previous`: null for none.
+  absl::Status WriteLevels(const Previous* previous) {
+    MAPSIEVE_RETURN_IF_ERROR(core::ComputeDepths(
+        *levels_, previous == nullptr ? nullptr : levels_.get(), lattice_,
+        options_, tiling_,
+        {.executor = context_.executor,
+         .stop = context_.stop,
+         .progress = progress_.levels()}));
+    return levels_->Finish();
+  }
+
+  /// `previous`: null for none.
   absl::StatusOr<ProcessReport> Commit(const ProductTotals& totals,
                                        storage::RevisionChange change,
                                        const Previous* previous) {
@@ -345,13 +365,7 @@ class MapRun {
     levels_->StartCounts(
         core::OutlierTest(totals.max_confidence, options_.outlier_share),
         counts_before);
-    MAPSIEVE_RETURN_IF_ERROR(core::ComputeDepths(
-        *levels_, previous == nullptr ? nullptr : levels_.get(), lattice_,
-        options_, tiling_,
-        {.executor = context_.executor,
-         .stop = context_.stop,
-         .progress = progress_.levels()}));
-    MAPSIEVE_RETURN_IF_ERROR(levels_->Finish());
+    MAPSIEVE_RETURN_IF_ERROR(WriteLevels(previous));
     MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
     const storage::RevisionRecord& base = snapshot_.revision();
     ProcessReport report = {
@@ -407,6 +421,13 @@ ProcessLimits ProcessLimits::Of(int64_t memory_bytes) {
           .chunk_bytes = std::min(memory_bytes / 128, int64_t{16} << 20)};
 }
 
+absl::Status CheckUid(const ReadSnapshot& snapshot,
+                      const std::string& map_uid) {
+  if (snapshot.map().uid == map_uid) return absl::OkStatus();
+  return absl::NotFoundError(absl::StrCat(
+      "map ", snapshot.map().spec.id, " is another one than at the request"));
+}
+
 absl::StatusOr<ProcessReport> ProcessStoredMap(
     storage::Store& store, const std::string& map_id,
     const std::string& map_uid, const core::SpdfOptions& options,
@@ -415,10 +436,7 @@ absl::StatusOr<ProcessReport> ProcessStoredMap(
   MAPSIEVE_ASSIGN_OR_RETURN(const auto snapshot, store.OpenSnapshot(map_id));
   const storage::MapRecord& map = snapshot->map();
   const storage::RevisionRecord& base = snapshot->revision();
-  if (map.uid != map_uid) {
-    return absl::NotFoundError(
-        absl::StrCat("map ", map_id, " is another one than at the request"));
-  }
+  MAPSIEVE_RETURN_IF_ERROR(CheckUid(*snapshot, map_uid));
   // A map that lost all its points has an empty result.
   if (base.totals.raw_point_count == 0 && base.processed_revision == 0) {
     return absl::FailedPreconditionError(absl::StrCat(
@@ -435,6 +453,16 @@ absl::StatusOr<ProcessReport> ProcessStoredMap(
   MAPSIEVE_ASSIGN_OR_RETURN(const std::optional<Previous> previous,
                             run.FindPrevious());
   return previous.has_value() ? run.Update(*previous) : run.FilterAll();
+}
+
+absl::Status RepairProduct(storage::Store& store, const ReadSnapshot& snapshot,
+                           const ChunkRepair& repair,
+                           const ProcessLimits& limits, Executor& io,
+                           const ExecutionContext& context) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const core::SpdfOptions options,
+      ParseSpdfOptions(snapshot.revision().spec.product->options));
+  return MapRun(store, snapshot, options, limits, io, context).Repair(repair);
 }
 
 }  // namespace mapsieve::engine

@@ -7,6 +7,7 @@
 #include "absl/status/statusor.h"
 #include "core/base/executor.h"
 #include "core/spdf/spdf_options.h"
+#include "server/engine/chunk_repair.h"
 #include "server/engine/types.h"
 #include "storage/store.h"
 
@@ -45,6 +46,21 @@ absl::StatusOr<ProcessReport> ProcessStoredMap(
     storage::Store& store, const std::string& map_id,
     const std::string& map_uid, const core::SpdfOptions& options,
     const ProcessLimits& limits, Executor& io, const ExecutionContext& context);
+
+/// Filters the raw points of `snapshot`, a revision that made its product, with
+/// the options of that product, and gives all that comes of it to `repair`; the
+/// map is not changed. Memory, `io`, `context` and progress as
+/// ProcessStoredMap. kDataLoss: what it reads is damaged; kResourceExhausted: a
+/// tile is too large, or the disk is full; kCancelled; kUnavailable.
+absl::Status RepairProduct(storage::Store& store,
+                           const storage::ReadSnapshot& snapshot,
+                           const ChunkRepair& repair,
+                           const ProcessLimits& limits, Executor& io,
+                           const ExecutionContext& context);
+
+/// kNotFound: the snapshot is of another map than at the request.
+absl::Status CheckUid(const storage::ReadSnapshot& snapshot,
+                      const std::string& map_uid);
 
 }  // namespace mapsieve::engine
 

@@ -49,6 +49,12 @@ LatticeCloud MakeProductCloud(LatticeCloud points, const LabelSpans& labels) {
   return points;
 }
 
+size_t DepthGroupOf(int depth) {
+  size_t group = 0;
+  while (depth < kDepthGroups[group].min) ++group;
+  return group;
+}
+
 std::array<LatticeCloud, kDepthGroups.size()> SplitByDepth(
     LatticeCloud product, std::span<const uint8_t> depths) {
   Column column({std::string(kDepthColumn), ScalarType::kUint8},
@@ -62,10 +68,7 @@ std::array<LatticeCloud, kDepthGroups.size()> SplitByDepth(
   for (size_t g = 0; g < groups.size(); ++g) {
     std::vector<uint32_t> rows;
     for (uint32_t row = 0; row < depths.size(); ++row) {
-      if (depths[row] >= kDepthGroups[g].min &&
-          depths[row] <= kDepthGroups[g].max) {
-        rows.push_back(row);
-      }
+      if (DepthGroupOf(depths[row]) == g) rows.push_back(row);
     }
     groups[g] = product.Select(rows);
   }

@@ -2,6 +2,7 @@
 #define MAPSIEVE_SERVER_ENGINE_PRODUCT_CHUNK_H_
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <string_view>
@@ -39,6 +40,9 @@ struct DepthRange {
 inline constexpr std::array<DepthRange, 4> kDepthGroups = {
     DepthRange{3, core::kMaxDepth}, DepthRange{2, 2}, DepthRange{1, 1},
     DepthRange{0, 0}};
+
+/// The index in kDepthGroups of a depth.
+size_t DepthGroupOf(int depth);
 
 /// The points of a product cloud by kDepthGroups, each in their order, with
 /// `depths`, one entry a point, as column kDepthColumn.

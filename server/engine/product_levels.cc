@@ -263,6 +263,9 @@ absl::Status ProductLevels::Flush() {
       clouds.push_back({pending[i].tile, std::move(group)});
     }
   }
+  if (options_.repair != nullptr) {
+    return options_.repair->PutProduct(clouds, *options_.io, options_.stop);
+  }
   return chunks_.Write(std::move(clouds), options_.stop);
 }
 

@@ -15,6 +15,7 @@
 #include "core/codec/points_codec.h"
 #include "core/spdf/labels.h"
 #include "core/spdf/levels.h"
+#include "server/engine/chunk_repair.h"
 #include "server/engine/chunk_writer.h"
 #include "server/engine/product_chunk.h"
 #include "server/engine/types.h"
@@ -38,6 +39,8 @@ class ProductLevels final : public core::LevelStore,
     /// Reads, encodes and stores.
     Executor* io = nullptr;
     std::stop_token stop;
+    /// Gets the chunks instead of the store; null: they are new.
+    const ChunkRepair* repair = nullptr;
   };
 
   /// `snapshot`: what AddPrevious refers to. The references outlive the object.

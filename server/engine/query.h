@@ -10,6 +10,7 @@
 #include "absl/status/statusor.h"
 #include "core/cloud/column.h"
 #include "core/spdf/labels.h"
+#include "server/engine/damaged_chunk.h"
 #include "server/engine/region.h"
 
 namespace mapsieve::engine {
@@ -76,6 +77,9 @@ struct QuerySpec {
   /// survivors of the filter without outliers.
   bool raw = false;
   Representative representative = Representative::kNearest;
+  /// Damaged and missing chunks are left out and told of in the summary; else
+  /// they are kDataLoss.
+  bool allow_partial = false;
 };
 
 /// What the batches of an answer have in common.
@@ -90,11 +94,20 @@ struct QueryHeader {
   int64_t candidate_point_count = 0;
 };
 
+/// Chunks left out of one answer that are told of one by one.
+inline constexpr size_t kMaxListedChunks = 1000;
+
 /// The end of a complete answer.
 struct QuerySummary {
   int64_t point_count = 0;
   /// point_count by label; all under kNone with `raw`.
   core::LabelCounts label_counts{};
+  /// Chunks with points that may have been asked for, left out by
+  /// allow_partial, and all their points with the labels asked for.
+  int64_t missing_chunk_count = 0;
+  int64_t missing_point_count = 0;
+  /// The first kMaxListedChunks of these chunks.
+  std::vector<DamagedChunk> missing_chunks;
 };
 
 /// An answer on its way, pinned to one revision, which later changes of the
@@ -111,7 +124,9 @@ class QueryCursor {
   /// and 0, each part in Morton order throughout. Reads a few chunks of
   /// storage; the first call under a budget reads all candidates. After an
   /// error the cursor is of no further use.
-  /// kCancelled; kDataLoss, kUnavailable: storage; kResourceExhausted: what
+  /// kCancelled; kDataLoss: a chunk is damaged, and not allow_partial (under a
+  /// budget also one that was sound when the points were chosen), or the
+  /// catalogue is; kUnavailable: storage; kResourceExhausted: what
   /// the answer needs at once exceeds the memory left for queries (both
   /// figures in the message).
   virtual absl::StatusOr<std::optional<std::vector<std::byte>>> NextBatch() = 0;

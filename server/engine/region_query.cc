@@ -108,6 +108,7 @@ class RegionQuery final : public QueryCursor {
               AnswerColumns columns, std::stop_token stop)
       : max_points_(spec.max_points),
         representative_(spec.representative),
+        allows_partial_(spec.allow_partial),
         kind_(spec.raw ? ChunkKind::kRaw : ChunkKind::kProduct),
         snapshot_(std::move(snapshot)),
         filter_(std::move(filter)),
@@ -188,6 +189,34 @@ class RegionQuery final : public QueryCursor {
     return names;
   }
 
+  /// Of a chunk: its points, and which of them pass.
+  struct Part {
+    LatticeCloud points;
+    PointFilter::Passed passed;
+  };
+  absl::StatusOr<Part> ReadPart(const ChunkRef& chunk,
+                                std::vector<std::string> names) const {
+    Part part;
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        part.points,
+        ReadPoints(*snapshot_, chunk, {.attributes = std::move(names)}));
+    MAPSIEVE_ASSIGN_OR_RETURN(part.passed, filter_.Select(part.points));
+    return part;
+  }
+
+  bool LeavesOut(const absl::Status& status) const {
+    return allows_partial_ && absl::IsDataLoss(status);
+  }
+
+  void NoteMissing(const ChunkRef& chunk, const absl::Status& damage) {
+    missing_.insert(chunk.number);
+    ++summary_.missing_chunk_count;
+    summary_.missing_point_count += filter_.CountCandidates(chunk);
+    if (summary_.missing_chunks.size() < kMaxListedChunks) {
+      summary_.missing_chunks.push_back(MakeDamagedChunk(chunk, damage));
+    }
+  }
+
   /// Gathers all candidates and chooses among them.
   absl::Status ChooseUnderBudget() {
     constexpr int64_t kMaxCandidates = std::numeric_limits<uint32_t>::max();
@@ -212,15 +241,17 @@ class RegionQuery final : public QueryCursor {
                                 walk.Next());
       if (!chunk.has_value()) break;
       if (filter_.CountCandidates(*chunk) == 0) continue;
-      MAPSIEVE_ASSIGN_OR_RETURN(
-          const LatticeCloud points,
-          ReadPoints(*snapshot_, *chunk, {.attributes = FilterNames()}));
-      MAPSIEVE_ASSIGN_OR_RETURN(const PointFilter::Passed passed,
-                                filter_.Select(points));
-      for (const uint32_t row : passed.rows) {
-        positions.push_back(points.positions[row]);
+      const absl::StatusOr<Part> part = ReadPart(*chunk, FilterNames());
+      if (LeavesOut(part.status())) {
+        NoteMissing(*chunk, part.status());
+        continue;
       }
-      labels.insert(labels.end(), passed.labels.begin(), passed.labels.end());
+      MAPSIEVE_RETURN_IF_ERROR(part.status());
+      for (const uint32_t row : part->passed.rows) {
+        positions.push_back(part->points.positions[row]);
+      }
+      labels.insert(labels.end(), part->passed.labels.begin(),
+                    part->passed.labels.end());
     }
     const auto chosen =
         std::min(max_points_, static_cast<int64_t>(labels.size()));
@@ -257,15 +288,21 @@ class RegionQuery final : public QueryCursor {
       is_walked_ = true;
       return absl::OkStatus();
     }
-    if (filter_.CountCandidates(*chunk) == 0) return absl::OkStatus();
+    if (filter_.CountCandidates(*chunk) == 0 ||
+        missing_.contains(chunk->number)) {
+      return absl::OkStatus();
+    }
     std::vector<std::string> names = FilterNames();
     names.insert(names.end(), columns_.stored_names().begin(),
                  columns_.stored_names().end());
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const LatticeCloud points,
-        ReadPoints(*snapshot_, *chunk, {.attributes = std::move(names)}));
-    MAPSIEVE_ASSIGN_OR_RETURN(PointFilter::Passed passed,
-                              filter_.Select(points));
+    absl::StatusOr<Part> part = ReadPart(*chunk, std::move(names));
+    // The choice counts on the points that were there.
+    if (!sample_.has_value() && LeavesOut(part.status())) {
+      NoteMissing(*chunk, part.status());
+      return absl::OkStatus();
+    }
+    MAPSIEVE_RETURN_IF_ERROR(part.status());
+    auto& [points, passed] = *part;
     std::vector<LatticePoint> positions;
     if (sample_.has_value()) {
       positions = KeepChosen(points, passed);
@@ -326,6 +363,7 @@ class RegionQuery final : public QueryCursor {
 
   const int64_t max_points_;
   const Representative representative_;
+  const bool allows_partial_;
   const ChunkKind kind_;
   const std::shared_ptr<const ReadSnapshot> snapshot_;
   const PointFilter filter_;
@@ -337,6 +375,8 @@ class RegionQuery final : public QueryCursor {
   int64_t max_candidates_ = 0;
   QueryHeader header_;
   QuerySummary summary_;
+  /// Numbers of the chunks left out.
+  std::set<int64_t> missing_;
   ChunkWalk walk_;
   bool is_walked_ = false;
   /// Points of the answer, those up to sent_ sent.

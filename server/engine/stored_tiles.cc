@@ -307,6 +307,9 @@ absl::Status StoredTiles::Flush() {
             CollectRepresentatives(tile.tile, tile.positions));
         clouds[static_cast<size_t>(i)] = {
             tile.tile, MakeProductCloud(std::move(points), tile.columns.All())};
+        if (options_.repair != nullptr) {
+          return options_.repair->PutHistory(tile.tile, tile.deaths);
+        }
         MAPSIEVE_ASSIGN_OR_RETURN(histories[static_cast<size_t>(i)],
                                   history_.Write(tile.tile, tile.deaths));
         return absl::OkStatus();

@@ -16,6 +16,7 @@
 #include "core/spdf/labels.h"
 #include "core/spdf/tile_filter.h"
 #include "core/spdf/tile_update.h"
+#include "server/engine/chunk_repair.h"
 #include "server/engine/confidence_histogram.h"
 #include "server/engine/death_history.h"
 #include "server/engine/product_levels.h"
@@ -38,6 +39,8 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
     std::stop_token stop;
     /// Keeps states, so that the run can be resumed; null: `scratch` does.
     RunCheckpoint* checkpoint = nullptr;
+    /// Gets the histories instead of the store; null: they are new.
+    const ChunkRepair* repair = nullptr;
   };
 
   /// Reads the list of tiles. `previous`: the revision whose history serves

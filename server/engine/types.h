@@ -267,7 +267,12 @@ struct UploadInfo {
 
 // Operations.
 
-enum class OperationVerb { kFinalizeUpload, kProcessMap, kDeleteRegion };
+enum class OperationVerb {
+  kFinalizeUpload,
+  kProcessMap,
+  kDeleteRegion,
+  kRepairMap
+};
 enum class OperationState {
   kQueued,
   kRunning,
@@ -312,6 +317,20 @@ struct DeleteReport {
   friend bool operator==(const DeleteReport&, const DeleteReport&) = default;
 };
 
+/// What repairing a map did.
+struct RepairReport {
+  /// Chunks, of all revisions, that were missing or not what was stored.
+  int64_t damaged_chunk_count = 0;
+  /// Of these, chunks that are there again, byte for byte.
+  int64_t repaired_chunk_count = 0;
+  /// Of these, chunks of raw points, which nothing makes again.
+  int64_t raw_chunk_count = 0;
+  /// Why one of the others could not be made again; empty if all were.
+  std::string obstacle;
+
+  friend bool operator==(const RepairReport&, const RepairReport&) = default;
+};
+
 /// Work that outlasts a call and a restart.
 struct Operation {
   std::string operation_id;
@@ -334,6 +353,7 @@ struct Operation {
   std::optional<UploadReport> upload_report;
   std::optional<ProcessReport> process_report;
   std::optional<DeleteReport> delete_report;
+  std::optional<RepairReport> repair_report;
 
   bool done() const {
     return state != OperationState::kQueued &&

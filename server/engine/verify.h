@@ -8,6 +8,7 @@
 
 #include "absl/status/statusor.h"
 #include "core/geometry/cell_key.h"
+#include "server/engine/damaged_chunk.h"
 
 namespace mapsieve::engine {
 
@@ -24,22 +25,6 @@ inline constexpr int64_t kMaxComparedTiles = 1'000'000;
 struct VerifyProgress {
   int64_t done_count = 0;
   int64_t total_count = 0;
-};
-
-/// What a stored chunk holds.
-enum class StoredContent : uint8_t {
-  kRaw = 1,
-  kProduct = 2,
-  kHistory = 3,
-};
-
-/// A chunk that is missing, or not what was stored.
-struct DamagedChunk {
-  StoredContent content = StoredContent::kRaw;
-  core::CellKey tile;
-  std::string blob_id;
-  /// What was expected and what was found.
-  std::string problem;
 };
 
 /// A tile whose product is not what the filter makes of its points.

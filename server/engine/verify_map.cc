@@ -9,9 +9,7 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "core/base/status.h"
-#include "server/engine/chunk_reader.h"
-#include "server/engine/chunk_writer.h"
-#include "server/engine/death_history.h"
+#include "server/engine/damaged_chunk.h"
 #include "server/engine/opaque_records.h"
 #include "server/engine/tile_check.h"
 
@@ -25,37 +23,6 @@ using storage::ReadSnapshot;
 constexpr int64_t kPageSize = 1000;
 /// Without findings, the progress is told that often.
 constexpr absl::Duration kProgressInterval = absl::Milliseconds(200);
-
-StoredContent ToContent(ChunkKind kind) {
-  switch (kind) {
-    case ChunkKind::kRaw:
-      break;
-    case ChunkKind::kProduct:
-      return StoredContent::kProduct;
-    case ChunkKind::kHistory:
-      return StoredContent::kHistory;
-  }
-  return StoredContent::kRaw;
-}
-
-/// Reads a chunk. kDataLoss: it is not what its reference says.
-absl::Status CheckChunk(const ReadSnapshot& snapshot, const ChunkRef& chunk) {
-  if (chunk.kind == ChunkKind::kHistory) {
-    return ReadDeaths(snapshot, chunk).status();
-  }
-  MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud points,
-                            ReadPoints(snapshot, chunk));
-  MAPSIEVE_ASSIGN_OR_RETURN(ChunkRef found,
-                            DescribeChunk(chunk.kind, chunk.tile, points));
-  found.number = chunk.number;
-  found.blob_id = chunk.blob_id;
-  found.stored_bytes = chunk.stored_bytes;
-  if (found == chunk) return absl::OkStatus();
-  return absl::DataLossError(
-      absl::StrCat("blob ", chunk.blob_id, " of tile ", chunk.tile.ToString(),
-                   ": the catalogue has other counts, depths or bounds of its "
-                   "points than it holds"));
-}
 
 class MapVerification final : public VerifyCursor {
  public:
@@ -151,10 +118,7 @@ class MapVerification final : public VerifyCursor {
                               snapshot_->ListAllChunks(chunk.number - 1, 1));
     if (next.empty() || next[0].number != chunk.number) return std::nullopt;
     ++summary_.damaged_chunk_count;
-    return DamagedChunk{.content = ToContent(chunk.kind),
-                        .tile = chunk.tile,
-                        .blob_id = chunk.blob_id,
-                        .problem = std::string(status.message())};
+    return MakeDamagedChunk(chunk, status);
   }
 
   absl::StatusOr<std::optional<VerifyEvent>> VisitTile(

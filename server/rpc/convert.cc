@@ -267,6 +267,7 @@ absl::StatusOr<engine::QuerySpec> ToQuerySpec(
                               ToColumnSelection(request.columns()));
   }
   spec.raw = request.raw();
+  spec.allow_partial = request.allow_partial();
   switch (request.representative()) {
     case v1::REPRESENTATIVE_UNSPECIFIED:
     case v1::REPRESENTATIVE_NEAREST:
@@ -426,20 +427,37 @@ v1::TileChange ToProto(const engine::TileChange& change) {
   return result;
 }
 
+v1::DamagedChunk ToProto(const engine::DamagedChunk& chunk) {
+  v1::DamagedChunk result;
+  // The numbers are the same.
+  result.set_content(static_cast<v1::DamagedChunk::Content>(chunk.content));
+  result.set_x(chunk.tile.x);
+  result.set_y(chunk.tile.y);
+  result.set_z(chunk.tile.z);
+  result.set_blob_id(chunk.blob_id);
+  result.set_problem(chunk.problem);
+  return result;
+}
+
+v1::QuerySummary ToProto(const engine::QuerySummary& summary) {
+  v1::QuerySummary result;
+  result.set_point_count(summary.point_count);
+  *result.mutable_label_counts() = ToProto(summary.label_counts);
+  result.set_missing_chunk_count(summary.missing_chunk_count);
+  result.set_missing_point_count(summary.missing_point_count);
+  for (const engine::DamagedChunk& chunk : summary.missing_chunks) {
+    *result.add_missing_chunks() = ToProto(chunk);
+  }
+  return result;
+}
+
 v1::VerifyMapResponse ToProto(const engine::VerifyEvent& event) {
   v1::VerifyMapResponse result;
   if (const auto* progress = std::get_if<engine::VerifyProgress>(&event)) {
     result.mutable_progress()->set_done_count(progress->done_count);
     result.mutable_progress()->set_total_count(progress->total_count);
   } else if (const auto* damaged = std::get_if<engine::DamagedChunk>(&event)) {
-    v1::DamagedChunk& chunk = *result.mutable_damaged_chunk();
-    // The numbers are the same.
-    chunk.set_content(static_cast<v1::DamagedChunk::Content>(damaged->content));
-    chunk.set_x(damaged->tile.x);
-    chunk.set_y(damaged->tile.y);
-    chunk.set_z(damaged->tile.z);
-    chunk.set_blob_id(damaged->blob_id);
-    chunk.set_problem(damaged->problem);
+    *result.mutable_damaged_chunk() = ToProto(*damaged);
   } else {
     const auto& differing = std::get<engine::DifferingTile>(event);
     v1::DifferingTile& tile = *result.mutable_differing_tile();
@@ -517,6 +535,9 @@ v1::Operation ToProto(const engine::Operation& operation) {
     case engine::OperationVerb::kDeleteRegion:
       metadata.set_verb("DeleteRegion");
       break;
+    case engine::OperationVerb::kRepairMap:
+      metadata.set_verb("RepairMap");
+      break;
   }
   metadata.set_target(std::move(target));
   *metadata.mutable_create_time() = ToTimestamp(operation.create_time);
@@ -556,6 +577,14 @@ v1::Operation ToProto(const engine::Operation& operation) {
     response.set_removed_point_count(
         operation.delete_report->removed_point_count);
     response.set_tile_count(operation.delete_report->tile_count);
+    result.mutable_response()->PackFrom(response);
+  } else if (operation.repair_report) {
+    const engine::RepairReport& report = *operation.repair_report;
+    v1::RepairMapResponse response;
+    response.set_damaged_chunk_count(report.damaged_chunk_count);
+    response.set_repaired_chunk_count(report.repaired_chunk_count);
+    response.set_raw_chunk_count(report.raw_chunk_count);
+    response.set_obstacle(report.obstacle);
     result.mutable_response()->PackFrom(response);
   } else {
     *result.mutable_error() = ToRpcStatus(operation.error);

@@ -76,6 +76,8 @@ v1::MapStats ToProto(std::string_view map_id, const engine::MapStats& stats);
 v1::Revision ToProto(std::string_view map_id,
                      const engine::RevisionInfo& revision);
 v1::TileChange ToProto(const engine::TileChange& change);
+v1::DamagedChunk ToProto(const engine::DamagedChunk& chunk);
+v1::QuerySummary ToProto(const engine::QuerySummary& summary);
 v1::VerifyMapResponse ToProto(const engine::VerifyEvent& event);
 v1::VerifySummary ToProto(const engine::VerifySummary& summary);
 v1::Upload ToProto(std::string_view map_id, const engine::UploadInfo& upload);

@@ -180,6 +180,18 @@ grpc::ServerUnaryReactor* MapService::RollBackMap(
   });
 }
 
+grpc::ServerUnaryReactor* MapService::RepairMap(
+    grpc::CallbackServerContext* context, const v1::RepairMapRequest* request,
+    v1::Operation* response) {
+  return RunUnary(calls_, "RepairMap", context, [=, this]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto map_id,
+                              ParseMapName("name", request->name()));
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto operation, engine_.RepairMap(map_id));
+    *response = ToProto(operation);
+    return absl::OkStatus();
+  });
+}
+
 grpc::ServerWriteReactor<v1::VerifyMapResponse>* MapService::VerifyMap(
     grpc::CallbackServerContext* /*context*/,
     const v1::VerifyMapRequest* request) {

@@ -32,10 +32,7 @@ class QueryReactor final : public StreamReactor<v1::QueryRegionResponse> {
       response.mutable_batch()->set_block(block->data(), block->size());
       return true;
     }
-    const engine::QuerySummary summary = cursor_->summary();
-    response.mutable_summary()->set_point_count(summary.point_count);
-    *response.mutable_summary()->mutable_label_counts() =
-        ToProto(summary.label_counts);
+    *response.mutable_summary() = ToProto(cursor_->summary());
     complete_ = true;
     cursor_.reset();
     return true;

@@ -255,6 +255,53 @@ class MainPath(unittest.TestCase):
             self.fail("no damage was found")
         self.mapsieve("verify", "whole")
 
+    def test_damaged_results_are_left_out_and_made_again(self):
+        source = self.work / "worn.las"
+        self.mapsieve("simulate", source, "--points", 50000, "--seed", 6)
+        self.mapsieve("create", "worn", "--tile-edge", 8)
+        self.mapsieve("upload", "worn", source)
+        self.mapsieve("process", "worn", "--rho", "0.2")
+        answer = self.work / "worn.csv"
+        whole = self.mapsieve("query", "worn", "-o", answer)
+        points = self.rows(answer)
+
+        # The largest chunk that the query reads.
+        blobs = self.work / "data" / "blobs"
+        for victim in sorted(blobs.glob("??/*"), reverse=True,
+                             key=lambda path: path.stat().st_size):
+            stored = victim.read_bytes()
+            victim.unlink()
+            result = self.run_command("query", "worn", "-o", answer)
+            if result.returncode == 1:
+                break
+            victim.write_bytes(stored)
+        self.assertIn("map worn", result.stderr)
+        self.assertIn(str(victim), result.stderr)
+
+        result = self.run_command("query", "worn", "--allow-partial",
+                                  "-o", answer)
+        self.assertEqual(result.returncode, 0, result.stderr)
+        line, = result.stderr.splitlines()
+        self.assertIn("left out", line)
+        self.assertIn(str(victim), line)
+        part = json.loads(result.stdout)
+        self.assertEqual(part["missing_chunk_count"], 1)
+        self.assertLess(part["point_count"], whole["point_count"])
+        self.assertGreaterEqual(
+            part["point_count"] + part["missing_point_count"],
+            whole["point_count"])
+        for point, row in self.rows(answer).items():
+            self.assertEqual(row, points[point])
+
+        self.fails("verify", "worn", message="--repair")
+        report = self.mapsieve("verify", "worn", "--repair")
+        self.assertEqual(report["repaired_chunk_count"], 1)
+        self.assertEqual(report["damaged_chunks"], [])
+        self.assertEqual(victim.read_bytes(), stored)
+        again = self.mapsieve("query", "worn", "-o", answer)
+        self.assertEqual(again["point_count"], whole["point_count"])
+        self.assertEqual(self.rows(answer), points)
+
     def test_delete_removes_the_map_only(self):
         self.mapsieve("create", "kept-map")
         self.mapsieve("create", "gone")

@@ -20,6 +20,7 @@ namespace {
 using core::LatticeCloud;
 using ::testing::AnyOf;
 using ::testing::HasSubstr;
+using ::testing::MatchesRegex;
 
 // Of so many bytes of a file one is damaged, unless all are asked for.
 constexpr size_t kBlobStride = 61;
@@ -110,7 +111,7 @@ class DamageTest : public ::testing::Test {
   std::map<std::string, std::string> files_;
 };
 
-TEST_F(DamageTest, OfABlobIsDataLossThatNamesMapAndBlob) {
+TEST_F(DamageTest, OfABlobIsDataLossThatNamesItsPlace) {
   const auto blobs = PathsOf("/blobs/");
   ASSERT_GE(blobs.size(), 3u);
   int loss_count = 0;
@@ -121,9 +122,22 @@ TEST_F(DamageTest, OfABlobIsDataLossThatNamesMapAndBlob) {
     for (const bool raw : {false, true}) {
       const auto answer = service_.Query({.map_id = "map", .raw = raw});
       ExpectSameOrLoss(answer, raw ? raw_ : product_, id, loss_count);
-      if (!answer.ok()) {
-        EXPECT_THAT(answer.status().ToString(), HasSubstr("map map"));
-      }
+      if (answer.ok()) continue;
+      EXPECT_THAT(
+          std::string(answer.status().message()),
+          MatchesRegex("map map, revision [23], tile [-0-9]+, "
+                       "(raw|product) chunk [0-9]+: " +
+                       path +
+                       "(, bytes 0 to [0-9]+: expected content of hash " + id +
+                       ", found [0-9a-f]+|: expected [0-9]+ bytes, found the "
+                       "end of the file at offset [0-9]+)"));
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+          const Answer rest,
+          service_.Query({.map_id = "map", .raw = raw, .allow_partial = true}));
+      ASSERT_EQ(rest.summary.missing_chunks.size(), 1U);
+      EXPECT_EQ(rest.summary.missing_chunks[0].blob_id, id);
+      EXPECT_EQ(rest.summary.missing_chunks[0].problem,
+                std::string(answer.status().message()));
     }
     EXPECT_LE(loss_count, before + 1);
   });

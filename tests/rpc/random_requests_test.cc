@@ -156,6 +156,8 @@ TEST_F(RandomRequestsTest, AreAnsweredAndNeverEndTheServer) {
          &UploadStub::DeleteUpload);
     call("ProcessMap", v1::ProcessMapRequest(), v1::Operation(), c.processing,
          &v1::ProcessingService::Stub::ProcessMap);
+    call("RepairMap", v1::RepairMapRequest(), v1::Operation(), c.maps,
+         &MapStub::RepairMap);
     call("GetOperation", v1::GetOperationRequest(), v1::Operation(),
          c.operations, &OperationStub::GetOperation);
     call("ListOperations", v1::ListOperationsRequest(),

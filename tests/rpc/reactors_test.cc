@@ -83,6 +83,7 @@ class MockEngine : public engine::Engine {
               (const engine::QuerySpec&, std::stop_token), (override));
   MOCK_METHOD(Or<std::unique_ptr<engine::VerifyCursor>>, Verify,
               (const engine::VerifySpec&, std::stop_token), (override));
+  MOCK_METHOD(Or<engine::Operation>, RepairMap, (Id), (override));
 };
 
 // Gives blocks of 1 MB, counts them and how many cursors live.

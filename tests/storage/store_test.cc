@@ -201,16 +201,21 @@ TEST_F(StoreTest, AChunkThatWasDamagedNamesItsPlace) {
   const auto chunks =
       *snapshot->ListChunks(ChunkKind::kRaw, std::nullopt, std::nullopt, 10);
   const auto data_loss = [&](const char* what) {
-    return StatusIs(absl::StatusCode::kDataLoss,
-                    AllOf(HasSubstr("map campus"), HasSubstr("tile 10-0-0-0"),
-                          HasSubstr(chunks[0].blob_id), HasSubstr(what)));
+    return StatusIs(
+        absl::StatusCode::kDataLoss,
+        AllOf(HasSubstr("map campus"), HasSubstr("tile 10-0-0-0, raw chunk"),
+              HasSubstr(PathOfBlob("content")), HasSubstr(what)));
   };
   WriteWholeFile(PathOfBlob("content"), "c0ntent");
-  EXPECT_THAT(snapshot->ReadChunk(chunks[0]), data_loss("damaged"));
+  EXPECT_THAT(snapshot->ReadChunk(chunks[0]),
+              data_loss("bytes 0 to 7: expected content of hash"));
   WriteWholeFile(PathOfBlob("content"), "cont");
-  EXPECT_THAT(snapshot->ReadChunk(chunks[0]), data_loss("it has 4"));
+  EXPECT_THAT(
+      snapshot->ReadChunk(chunks[0]),
+      data_loss("expected 7 bytes, found the end of the file at offset 4"));
   std::filesystem::remove(PathOfBlob("content"));
-  EXPECT_THAT(snapshot->ReadChunk(chunks[0]), data_loss("missing"));
+  EXPECT_THAT(snapshot->ReadChunk(chunks[0]),
+              data_loss("expected 7 bytes, found no file"));
   // The rest stays readable.
   EXPECT_EQ(Text(*snapshot->ReadChunk(chunks[1])), "other");
 }
