@@ -15,6 +15,8 @@ namespace mapsieve::storage {
 namespace {
 
 constexpr size_t kChecksumAt = kPageBytes - kPageChecksumBytes;
+// What a database begins with, the final zero included.
+const auto kMagic = std::as_bytes(std::span("SQLite format 3"));
 // In the header of a database: how many bytes of a page are reserved.
 constexpr size_t kReservedBytesAt = 20;
 
@@ -25,6 +27,8 @@ constexpr size_t kLogSumsAt = 24;
 constexpr size_t kCommitAt = 4;
 constexpr size_t kFrameSaltsAt = 8;
 constexpr size_t kFrameSumsAt = 16;
+// What a disk writes whole or not at all.
+constexpr int64_t kSectorBytes = 512;
 // The log's sums go over this much of the two headers.
 constexpr size_t kSummedOfLogHeader = 24;
 constexpr size_t kSummedOfFrameHeader = 8;
@@ -72,8 +76,12 @@ uint64_t ChecksumOfPage(int64_t number, std::span<const std::byte> page) {
 
 // What CheckLog remembers of the frame before.
 struct FrameBefore {
+  // The sums in it, and those that follow from the frame before it.
   LogSums stored;
+  LogSums computed;
   bool ends_transaction = false;
+  // Its header was written whole or not at all.
+  bool is_in_one_sector = false;
 };
 
 absl::Status DamagedLog(const std::string& path, int64_t offset,
@@ -91,8 +99,11 @@ absl::Status DamagedLog(const std::string& path, int64_t offset,
 absl::StatusOr<bool> HasPageChecksums(const File& database) {
   std::array<std::byte, kDatabaseHeaderBytes> header;
   MAPSIEVE_ASSIGN_OR_RETURN(const size_t got, database.ReadAt(0, header));
-  return got < header.size() ||
-         header[kReservedBytesAt] == std::byte{kPageChecksumBytes};
+  if (got < header.size() ||
+      !std::equal(kMagic.begin(), kMagic.end(), header.begin())) {
+    return true;
+  }
+  return header[kReservedBytesAt] == std::byte{kPageChecksumBytes};
 }
 
 void SealPage(int64_t number, std::span<std::byte> page) {
@@ -164,19 +175,24 @@ absl::Status CheckLog(const File& log, const std::string& path) {
     const bool has_salts = has_salt(frame, 0) && has_salt(frame, 4);
     if (damage.has_value()) {
       // A transaction is begun after the one before it is durable, and its
-      // first frame goes on from the last one of that.
-      if (before.ends_transaction && has_salts &&
-          SumsAfter(before.stored, frame) == actual) {
-        return *damage;
-      }
-    } else {
-      sums = SumsAfter(sums, frame);
-      if (!has_salts || sums != actual) {
-        damage = DamagedLog(path, at, "a frame", sums, actual);
-      }
+      // first frame goes on from the last one of that. What goes on from the
+      // right sums of a frame vouches for all of it; what goes on from the sums
+      // that are in it, for what was written together with them.
+      const bool goes_on = SumsAfter(before.computed, frame) == actual ||
+                           (before.is_in_one_sector &&
+                            SumsAfter(before.stored, frame) == actual);
+      if (before.ends_transaction && has_salts && goes_on) return *damage;
+    }
+    const LogSums computed =
+        SumsAfter(at == kLogHeaderBytes ? stored : before.stored, frame);
+    if (!damage.has_value() && (!has_salts || computed != actual)) {
+      damage = DamagedLog(path, at, "a frame", computed, actual);
     }
     before = {.stored = actual,
-              .ends_transaction = LoadWord(frame, kCommitAt) != 0};
+              .computed = computed,
+              .ends_transaction = LoadWord(frame, kCommitAt) != 0,
+              .is_in_one_sector = at / kSectorBytes ==
+                                  (at + kFrameHeaderBytes - 1) / kSectorBytes};
   }
   return absl::OkStatus();
 }

@@ -28,8 +28,8 @@ inline constexpr int kLogHeaderBytes = 32;
 inline constexpr int kFrameHeaderBytes = 24;
 inline constexpr int kFrameBytes = kFrameHeaderBytes + kPageBytes;
 
-/// Whether the pages of a database carry checksums. A database without a
-/// header is new: it will.
+/// Whether the pages of a database carry checksums. One without a header will:
+/// it is new, or its first page was not written to the end and is in the log.
 absl::StatusOr<bool> HasPageChecksums(const File& database);
 
 /// Writes its checksum into a whole page; `number` counts from 1.

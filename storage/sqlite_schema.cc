@@ -10,7 +10,9 @@ namespace {
 
 // "msve": marks the database as ours.
 constexpr int64_t kApplicationId = 0x6d737665;
-constexpr int64_t kSchemaVersion = 3;
+constexpr int64_t kSchemaVersion = 4;
+// The version whose pages have no checksums.
+constexpr int64_t kVersionWithoutChecksums = 3;
 
 // FORMAT.md explains every table and column.
 constexpr char kSchema[] = R"sql(
@@ -140,21 +142,62 @@ CREATE INDEX operations_by_target ON operations (target, number);
 CREATE INDEX operations_unfinished ON operations (number) WHERE state < 3;
 )sql";
 
+struct Identity {
+  int64_t application = 0;
+  int64_t version = 0;
+};
+
+absl::StatusOr<Identity> ReadIdentity(SqliteDatabase& database) {
+  Identity identity;
+  MAPSIEVE_ASSIGN_OR_RETURN(identity.application,
+                            database.QueryInteger("PRAGMA application_id"));
+  MAPSIEVE_ASSIGN_OR_RETURN(identity.version,
+                            database.QueryInteger("PRAGMA user_version"));
+  return identity;
+}
+
+absl::Status SetVersion(SqliteDatabase& database) {
+  return database.Execute(
+      absl::StrCat("PRAGMA user_version = ", kSchemaVersion));
+}
+
+// The tables of version 3 as those of version 4.
+absl::Status MigrateTables(SqliteDatabase& database) {
+  return SetVersion(database);
+}
+
 }  // namespace
+
+absl::StatusOr<bool> LacksPageChecksums(SqliteDatabase& database) {
+  if (database.has_page_checksums()) return false;
+  MAPSIEVE_ASSIGN_OR_RETURN(const Identity identity, ReadIdentity(database));
+  return identity.application == kApplicationId &&
+         identity.version == kVersionWithoutChecksums;
+}
 
 absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent) {
   SqliteTransaction transaction(database);
   MAPSIEVE_RETURN_IF_ERROR(transaction.Begin(SqliteTransaction::Kind::kWrite));
-  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t application,
-                            database.QueryInteger("PRAGMA application_id"));
-  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t version,
-                            database.QueryInteger("PRAGMA user_version"));
+  MAPSIEVE_ASSIGN_OR_RETURN(const Identity identity, ReadIdentity(database));
+  const auto [application, version] = identity;
   if (application == kApplicationId) {
-    if (version == kSchemaVersion) return transaction.Commit();
-    return absl::FailedPreconditionError(
-        absl::StrCat(database.path(), ": a catalogue of version ", version,
-                     ", this program reads version ", kSchemaVersion,
-                     "; use the program that wrote it, or a newer one"));
+    if (version != kSchemaVersion && version != kVersionWithoutChecksums) {
+      return absl::FailedPreconditionError(absl::StrCat(
+          database.path(), ": a catalogue of version ", version,
+          ", this program reads versions ", kVersionWithoutChecksums, " and ",
+          kSchemaVersion, "; use the program that wrote it, or a newer one"));
+    }
+    if (!database.has_page_checksums()) {
+      return absl::DataLossError(absl::StrCat(
+          database.path(),
+          ", offset 20: damaged: expected 8 reserved bytes a page, as a "
+          "catalogue of version ",
+          version, " has; restore the data directory from a backup"));
+    }
+    if (version == kVersionWithoutChecksums) {
+      MAPSIEVE_RETURN_IF_ERROR(MigrateTables(database));
+    }
+    return transaction.Commit();
   }
   MAPSIEVE_ASSIGN_OR_RETURN(
       const int64_t object_count,
@@ -174,8 +217,7 @@ absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent) {
   MAPSIEVE_RETURN_IF_ERROR(database.Execute(kSchema));
   MAPSIEVE_RETURN_IF_ERROR(database.Execute(
       absl::StrCat("PRAGMA application_id = ", kApplicationId)));
-  MAPSIEVE_RETURN_IF_ERROR(
-      database.Execute(absl::StrCat("PRAGMA user_version = ", kSchemaVersion)));
+  MAPSIEVE_RETURN_IF_ERROR(SetVersion(database));
   return transaction.Commit();
 }
 
