@@ -16,8 +16,9 @@ absl::Status RemoveIfThere(FileSystem& file_system, const std::string& path) {
   return absl::IsNotFound(status) ? absl::OkStatus() : status;
 }
 
-// Closes the last connection of a database and makes sure that the file alone
-// is the database: a log beside it would be replayed over another one.
+// Brings all that its log holds into the database, synced, and closes the last
+// connection, which removes the log: one beside another database of that name
+// would be replayed over it.
 absl::Status CloseWithoutLog(FileSystem& file_system,
                              std::unique_ptr<SqliteDatabase> database) {
   const std::string path = database->path();
@@ -30,7 +31,7 @@ absl::Status CloseWithoutLog(FileSystem& file_system,
   if (busy == 0 && !has_log) return absl::OkStatus();
   return absl::UnavailableError(absl::StrCat(
       path,
-      ": its log could not be emptied, another program has the file open; "
+      ": its log cannot be removed while another program has the file open; "
       "close that and start again"));
 }
 
@@ -54,11 +55,8 @@ absl::Status AddPageChecksums(FileSystem& file_system,
   MAPSIEVE_RETURN_IF_ERROR(PrepareSchema(*database, IfAbsent::kFail));
   MAPSIEVE_RETURN_IF_ERROR(CloseWithoutLog(file_system, std::move(database)));
 
-  MAPSIEVE_ASSIGN_OR_RETURN(const auto file,
-                            file_system.Open(copy, OpenMode::kReadWrite));
-  MAPSIEVE_RETURN_IF_ERROR(file->Sync());
-  // That the logs are gone comes first.
   const std::string directory = std::filesystem::path(path).parent_path();
+  // That the logs are gone comes first.
   MAPSIEVE_RETURN_IF_ERROR(file_system.SyncDirectory(directory));
   MAPSIEVE_RETURN_IF_ERROR(file_system.Rename(copy, path));
   return file_system.SyncDirectory(directory);
