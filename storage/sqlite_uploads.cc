@@ -74,8 +74,8 @@ absl::Status UpdateState(SqliteDatabase& database, const UploadRecord& upload) {
       .Run();
 }
 
-/// The revision in the history of the map's newest one that added the points of
-/// the upload `id`; 0 if there is none.
+/// The last revision in the history of the map's newest one that added the
+/// points of the upload `id`; 0 if there is none.
 absl::StatusOr<int64_t> RevisionWithPoints(SqliteDatabase& database,
                                            const MapRow& map,
                                            const std::string& id) {
@@ -84,7 +84,8 @@ absl::StatusOr<int64_t> RevisionWithPoints(SqliteDatabase& database,
       database.Prepare(absl::StrCat(
           "WITH RECURSIVE ", kHistory,
           " SELECT revision FROM upload_revisions WHERE map_key = ?1 AND "
-          "upload_id = ?3 AND revision IN (SELECT number FROM history)")));
+          "upload_id = ?3 AND revision IN (SELECT number FROM history) "
+          "ORDER BY revision DESC")));
   MAPSIEVE_ASSIGN_OR_RETURN(
       const bool found,
       query.Bind(map.key).Bind(map.record.newest_revision).Bind(id).Step());

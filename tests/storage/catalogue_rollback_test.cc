@@ -284,5 +284,25 @@ TEST_P(CatalogueTest, AnUploadThatWasRolledBackBeginsAnew) {
   EXPECT_EQ(MakeUpload(map, "b").revision, 5);
 }
 
+TEST_P(CatalogueTest, AnUploadThatCameTwiceIsTheLaterOne) {
+  const MapRecord map = MakeMap("campus");
+  std::string last;
+  for (int64_t parent = 1; parent <= 2; ++parent) {
+    const UploadRecord upload = MakeUpload(map, "a");
+    EXPECT_NE(upload.uid, last);
+    last = upload.uid;
+    MAPSIEVE_ASSERT_OK(catalogue_->SetUploadState(
+        upload.uid, UploadState::kActive, UploadState::kFinalizing, ""));
+    RevisionChange change = Adding({});
+    change.finalized_upload_uid = upload.uid;
+    Commit(map, parent, change);
+    if (parent == 1) {
+      MAPSIEVE_ASSERT_OK(catalogue_->DeleteUpload(upload.uid));
+    }
+  }
+  EXPECT_EQ(MakeUpload(map, "a").uid, last);
+  EXPECT_EQ(MakeUpload(map, "a").revision, 3);
+}
+
 }  // namespace
 }  // namespace mapsieve::storage
