@@ -44,7 +44,8 @@ class BlobStore {
   virtual absl::StatusOr<std::vector<std::byte>> GetRange(
       const BlobId& id, int64_t offset, int64_t size) const = 0;
 
-  /// Where a blob lies or would lie, for messages: the path of its file.
+  /// Where a blob lies or would lie, for messages: on a disk the path of its
+  /// file.
   virtual std::string Location(const BlobId& id) const = 0;
 
   /// Bytes of a blob. kNotFound.

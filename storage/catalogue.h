@@ -96,7 +96,9 @@ class Catalogue {
   /// the map: the same blobs for every kind of chunk in the same order,
   /// attributes, totals and processed_revision, the same tiles stale, and the
   /// options of its product as MapRecord::process_options. Chunks that it
-  /// does not share with the newest revision get new references. If the newest
+  /// does not share with the newest revision get new references. An upload that
+  /// was begun anew and whose points the rollback brings back is kFinalized, as
+  /// it was when they were added. If the newest
   /// revision is `number` or a rollback to it, nothing is made and that one is
   /// returned. kNotFound: the map (or it is deleted); kOutOfRange: the
   /// revision, or it is expired. Cost: all references that the map ever had.

@@ -10,6 +10,7 @@
 #include "storage/sqlite_chunks.h"
 #include "storage/sqlite_database.h"
 #include "storage/sqlite_maps.h"
+#include "storage/sqlite_migration.h"
 #include "storage/sqlite_operations.h"
 #include "storage/sqlite_retention.h"
 #include "storage/sqlite_schema.h"
@@ -93,6 +94,7 @@ absl::StatusOr<RevisionRecord> RollBackTo(SqliteDatabase& database,
       .processed_revision = target.processed_revision,
       .restored_revision = number};
   MAPSIEVE_RETURN_IF_ERROR(RestoreChunks(database, map, target));
+  MAPSIEVE_RETURN_IF_ERROR(FinalizeRestoredUploads(database, map, number));
   MAPSIEVE_RETURN_IF_ERROR(InsertRevision(database, map.key, revision));
   MAPSIEVE_RETURN_IF_ERROR(SetNewestRevision(database, map.key, revision));
   MAPSIEVE_RETURN_IF_ERROR(SetProcessOptions(database, map.key, options));
@@ -362,6 +364,11 @@ absl::StatusOr<std::unique_ptr<Catalogue>> OpenSqliteCatalogue(
   MAPSIEVE_RETURN_IF_ERROR(SqliteDatabase::SecureLog(file_system, path));
   MAPSIEVE_ASSIGN_OR_RETURN(auto writer,
                             SqliteDatabase::Open(file_system, path));
+  MAPSIEVE_ASSIGN_OR_RETURN(const bool is_old, LacksPageChecksums(*writer));
+  if (is_old) {
+    MAPSIEVE_RETURN_IF_ERROR(AddPageChecksums(file_system, std::move(writer)));
+    MAPSIEVE_ASSIGN_OR_RETURN(writer, SqliteDatabase::Open(file_system, path));
+  }
   MAPSIEVE_RETURN_IF_ERROR(PrepareSchema(*writer, if_absent));
   MAPSIEVE_ASSIGN_OR_RETURN(auto reader,
                             SqliteDatabase::Open(file_system, path));

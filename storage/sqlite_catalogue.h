@@ -14,11 +14,12 @@ namespace mapsieve::storage {
 enum class IfAbsent { kCreate, kFail };
 
 /// Opens the catalogue in the SQLite database `path`; FORMAT.md describes its
-/// tables. One of version 3 is migrated. The caller sees to it that one process
-/// at a time has it open, and syncs the directory after the file was made.
-/// `file_system` outlives it. kDataLoss: damaged, no SQLite database, or absent
-/// and `if_absent` is kFail; kFailedPrecondition: a database of another program
-/// or of a newer version of this one.
+/// tables. One of version 3 becomes one of this version, of which a crash
+/// leaves all or nothing. The caller sees to it that one process at a time has
+/// it open, and syncs the directory after the file was made. `file_system`
+/// outlives it. kDataLoss: damaged, no SQLite database, or absent and
+/// `if_absent` is kFail; kFailedPrecondition: a database of another program or
+/// of another version of this one.
 absl::StatusOr<std::unique_ptr<Catalogue>> OpenSqliteCatalogue(
     FileSystem& file_system, const std::string& path, IfAbsent if_absent);
 

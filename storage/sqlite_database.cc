@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
+#include "storage/sqlite_format.h"
 
 namespace mapsieve::storage {
 namespace {
@@ -182,6 +183,7 @@ absl::Status SqliteDatabase::SecureLog(FileSystem& file_system,
   const auto log = file_system.Open(log_path, OpenMode::kReadWrite);
   if (absl::IsNotFound(log.status())) return absl::OkStatus();
   MAPSIEVE_RETURN_IF_ERROR(log.status());
+  MAPSIEVE_RETURN_IF_ERROR(CheckLog(**log, log_path));
   MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size, (*log)->Size());
   for (int64_t at = 0; at < size; at += kLogPieceBytes) {
     MAPSIEVE_ASSIGN_OR_RETURN(
@@ -217,11 +219,15 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
   sqlite3_db_config(handle, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
   // The last one: a log that a large transaction made long is cut to 16 MiB.
   for (const char* pragma :
-       {"PRAGMA synchronous = FULL", "PRAGMA foreign_keys = ON",
-        "PRAGMA cell_size_check = ON", "PRAGMA temp_store = MEMORY",
-        "PRAGMA journal_size_limit = 16777216"}) {
+       {"PRAGMA page_size = 4096", "PRAGMA synchronous = FULL",
+        "PRAGMA foreign_keys = ON", "PRAGMA cell_size_check = ON",
+        "PRAGMA temp_store = MEMORY", "PRAGMA journal_size_limit = 16777216"}) {
     MAPSIEVE_RETURN_IF_ERROR(database->Execute(pragma));
   }
+  // For the checksums of a new database. One that exists stays as it is.
+  int reserved_bytes = kPageChecksumBytes;
+  sqlite3_file_control(handle, "main", SQLITE_FCNTL_RESERVE_BYTES,
+                       &reserved_bytes);
   MAPSIEVE_RETURN_IF_ERROR(database->UseWriteAheadLog());
   return database;
 }
@@ -269,6 +275,10 @@ absl::Status SqliteDatabase::StatusOf(int code) const {
           absl::StrCat(message, "; restore the data directory from a backup"));
     case SQLITE_IOERR:
     case SQLITE_CANTOPEN:
+      if (absl::IsDataLoss(failure)) {
+        return absl::DataLossError(absl::StrCat(
+            message, "; restore the data directory from a backup"));
+      }
       return absl::UnavailableError(
           absl::StrCat(message, "; the device fails, see the system's log"));
     case SQLITE_BUSY:

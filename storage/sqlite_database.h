@@ -125,15 +125,17 @@ class SqliteStatement {
 /// A connection to a database file. Not thread-safe.
 class SqliteDatabase {
  public:
-  /// Opens `path`, which is made if absent, with a write-ahead log, full
-  /// syncs, foreign keys, and no mapping of files into memory. `file_system`
-  /// outlives the object.
+  /// Opens `path`, which is made if absent, with checksums of its pages, a
+  /// write-ahead log, full syncs, foreign keys, and no mapping of files into
+  /// memory. `file_system` outlives the object.
   static absl::StatusOr<std::unique_ptr<SqliteDatabase>> Open(
       FileSystem& file_system, const std::string& path);
   /// Makes durable what the log of the database `path` holds, if there is one;
   /// no connection is open. A process that died may have written a commit and
   /// not synced it, and after a failed sync the system may even show bytes that
-  /// it will never write: so all is written once more, and synced.
+  /// it will never write: so all is written once more, and synced. kDataLoss,
+  /// naming log and offset: committed transactions in it are damaged
+  /// (CheckLog).
   static absl::Status SecureLog(FileSystem& file_system,
                                 const std::string& path);
 
@@ -142,6 +144,8 @@ class SqliteDatabase {
   SqliteDatabase& operator=(const SqliteDatabase&) = delete;
 
   const std::string& path() const { return path_; }
+  /// Whether every page carries a checksum that is compared when it is read.
+  bool has_page_checksums() const { return vfs_->has_page_checksums(); }
 
   /// Runs statements that give no rows.
   absl::Status Execute(const std::string& sql);

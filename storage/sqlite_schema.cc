@@ -11,6 +11,8 @@ namespace {
 // "msve": marks the database as ours.
 constexpr int64_t kApplicationId = 0x6d737665;
 constexpr int64_t kSchemaVersion = 4;
+// The version whose pages have no checksums.
+constexpr int64_t kVersionWithoutChecksums = 3;
 
 // FORMAT.md explains every table and column.
 constexpr char kSchema[] = R"sql(
@@ -118,6 +120,7 @@ CREATE TABLE upload_revisions (
   map_key INTEGER NOT NULL REFERENCES maps,
   upload_id TEXT NOT NULL,
   revision INTEGER NOT NULL,
+  report BLOB NOT NULL DEFAULT x'',
   PRIMARY KEY (map_key, upload_id, revision)
 ) STRICT, WITHOUT ROWID;
 
@@ -154,39 +157,68 @@ CREATE TABLE tile_changes (
 ) STRICT, WITHOUT ROWID;
 )sql";
 
+struct Identity {
+  int64_t application = 0;
+  int64_t version = 0;
+};
+
+absl::StatusOr<Identity> ReadIdentity(SqliteDatabase& database) {
+  Identity identity;
+  MAPSIEVE_ASSIGN_OR_RETURN(identity.application,
+                            database.QueryInteger("PRAGMA application_id"));
+  MAPSIEVE_ASSIGN_OR_RETURN(identity.version,
+                            database.QueryInteger("PRAGMA user_version"));
+  return identity;
+}
+
 absl::Status SetVersion(SqliteDatabase& database) {
   return database.Execute(
       absl::StrCat("PRAGMA user_version = ", kSchemaVersion));
 }
 
-// Makes a catalogue of version 4 of one of version 3, in the transaction of
-// the caller.
-absl::Status MigrateFrom3(SqliteDatabase& database) {
+// The tables of version 3 as those of version 4.
+absl::Status MigrateTables(SqliteDatabase& database) {
   MAPSIEVE_RETURN_IF_ERROR(database.Execute(
       "ALTER TABLE revisions ADD COLUMN expired INTEGER NOT NULL DEFAULT 0"));
+  MAPSIEVE_RETURN_IF_ERROR(database.Execute(
+      "ALTER TABLE upload_revisions ADD COLUMN report BLOB NOT NULL DEFAULT "
+      "x''"));
   MAPSIEVE_RETURN_IF_ERROR(database.Execute(kRetention));
   return SetVersion(database);
 }
 
 }  // namespace
 
+absl::StatusOr<bool> LacksPageChecksums(SqliteDatabase& database) {
+  if (database.has_page_checksums()) return false;
+  MAPSIEVE_ASSIGN_OR_RETURN(const Identity identity, ReadIdentity(database));
+  return identity.application == kApplicationId &&
+         identity.version == kVersionWithoutChecksums;
+}
+
 absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent) {
   SqliteTransaction transaction(database);
   MAPSIEVE_RETURN_IF_ERROR(transaction.Begin(SqliteTransaction::Kind::kWrite));
-  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t application,
-                            database.QueryInteger("PRAGMA application_id"));
-  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t version,
-                            database.QueryInteger("PRAGMA user_version"));
+  MAPSIEVE_ASSIGN_OR_RETURN(const Identity identity, ReadIdentity(database));
+  const auto [application, version] = identity;
   if (application == kApplicationId) {
-    if (version == kSchemaVersion) return transaction.Commit();
-    if (version == 3) {
-      MAPSIEVE_RETURN_IF_ERROR(MigrateFrom3(database));
-      return transaction.Commit();
+    if (version != kSchemaVersion && version != kVersionWithoutChecksums) {
+      return absl::FailedPreconditionError(absl::StrCat(
+          database.path(), ": a catalogue of version ", version,
+          ", this program reads versions ", kVersionWithoutChecksums, " and ",
+          kSchemaVersion, "; use the program that wrote it, or a newer one"));
     }
-    return absl::FailedPreconditionError(
-        absl::StrCat(database.path(), ": a catalogue of version ", version,
-                     ", this program reads version ", kSchemaVersion,
-                     "; use the program that wrote it, or a newer one"));
+    if (!database.has_page_checksums()) {
+      return absl::DataLossError(absl::StrCat(
+          database.path(),
+          ", offset 20: damaged: expected 8 reserved bytes a page, as a "
+          "catalogue of version ",
+          version, " has; restore the data directory from a backup"));
+    }
+    if (version == kVersionWithoutChecksums) {
+      MAPSIEVE_RETURN_IF_ERROR(MigrateTables(database));
+    }
+    return transaction.Commit();
   }
   MAPSIEVE_ASSIGN_OR_RETURN(
       const int64_t object_count,

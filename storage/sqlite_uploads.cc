@@ -35,6 +35,8 @@ absl::StatusOr<UploadRecord> TakeUpload(SqliteStatement& row) {
   return upload;
 }
 
+constexpr int64_t kUploadsOfAPage = 1000;
+
 const char* StateName(UploadState state) {
   switch (state) {
     case UploadState::kActive:
@@ -74,24 +76,32 @@ absl::Status UpdateState(SqliteDatabase& database, const UploadRecord& upload) {
       .Run();
 }
 
-/// The revision in the history of the map's newest one that added the points of
-/// the upload `id`; 0 if there is none.
-absl::StatusOr<int64_t> RevisionWithPoints(SqliteDatabase& database,
-                                           const MapRow& map,
-                                           const std::string& id) {
+/// A time that the points of an upload were added to its map.
+struct Addition {
+  /// 0: none.
+  int64_t revision = 0;
+  std::string report;
+};
+
+/// The last time, in the history of revision `number`, that the points of the
+/// upload `id` were added.
+absl::StatusOr<Addition> LastAddition(SqliteDatabase& database,
+                                      const MapRow& map, int64_t number,
+                                      const std::string& id) {
   MAPSIEVE_ASSIGN_OR_RETURN(
       SqliteStatement query,
       database.Prepare(absl::StrCat(
           "WITH RECURSIVE ", kHistory,
-          " SELECT revision FROM upload_revisions WHERE map_key = ?1 AND "
-          "upload_id = ?3 AND revision IN (SELECT number FROM history)")));
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const bool found,
-      query.Bind(map.key).Bind(map.record.newest_revision).Bind(id).Step());
-  int64_t revision = 0;
-  if (found) query.TakeCount(revision);
+          " SELECT revision, report FROM upload_revisions WHERE map_key = ?1 "
+          "AND "
+          "upload_id = ?3 AND revision IN (SELECT number FROM history) "
+          "ORDER BY revision DESC")));
+  MAPSIEVE_ASSIGN_OR_RETURN(const bool found,
+                            query.Bind(map.key).Bind(number).Bind(id).Step());
+  Addition addition;
+  if (found) query.TakeCount(addition.revision).TakeBlob(addition.report);
   MAPSIEVE_RETURN_IF_ERROR(query.status());
-  return revision;
+  return addition;
 }
 
 }  // namespace
@@ -109,10 +119,11 @@ absl::StatusOr<UploadRecord> CreateUpload(SqliteDatabase& database,
                        " exists already, with another size or content hash"));
     }
     if (existing->state != UploadState::kFinalized) return existing;
-    MAPSIEVE_ASSIGN_OR_RETURN(const int64_t revision,
-                              RevisionWithPoints(database, map, spec.id));
-    if (revision != 0) {
-      existing->revision = revision;
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const Addition addition,
+        LastAddition(database, map, map.record.newest_revision, spec.id));
+    if (addition.revision != 0) {
+      existing->revision = addition.revision;
       MAPSIEVE_RETURN_IF_ERROR(UpdateState(database, *existing));
       return existing;
     }
@@ -237,9 +248,37 @@ absl::Status FinalizeUpload(SqliteDatabase& database,
   MAPSIEVE_ASSIGN_OR_RETURN(
       SqliteStatement insert,
       database.Prepare(
-          "INSERT INTO upload_revisions (map_key, upload_id, revision) "
-          "SELECT map_key, id, revision FROM uploads WHERE uid = ?"));
+          "INSERT INTO upload_revisions (map_key, upload_id, revision, report) "
+          "SELECT map_key, id, revision, report FROM uploads WHERE uid = ?"));
   return insert.Bind(upload_uid).Run();
+}
+
+absl::Status FinalizeRestoredUploads(SqliteDatabase& database,
+                                     const MapRow& map, int64_t number) {
+  std::string after;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        std::vector<UploadRecord> page,
+        ListUploads(database, map.record.uid, after, kUploadsOfAPage));
+    if (page.empty()) return absl::OkStatus();
+    after = page.back().spec.id;
+    for (UploadRecord& upload : page) {
+      if (upload.state == UploadState::kFinalized) continue;
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          const Addition before,
+          LastAddition(database, map, map.record.newest_revision,
+                       upload.spec.id));
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          const Addition restored,
+          LastAddition(database, map, number, upload.spec.id));
+      if (before.revision != 0 || restored.revision == 0) continue;
+      upload.state = UploadState::kFinalized;
+      upload.revision = restored.revision;
+      upload.report = restored.report;
+      upload.update_time = absl::Now();
+      MAPSIEVE_RETURN_IF_ERROR(UpdateState(database, upload));
+    }
+  }
 }
 
 absl::Status DeleteUpload(SqliteDatabase& database,

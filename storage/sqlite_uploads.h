@@ -50,6 +50,11 @@ absl::Status FinalizeUpload(SqliteDatabase& database,
                             const RevisionRecord& revision,
                             const std::string& report);
 
+/// Finalizes uploads whose points a rollback of `map`, as it is before, to
+/// revision `number` brings back: they were begun anew since.
+absl::Status FinalizeRestoredUploads(SqliteDatabase& database,
+                                     const MapRow& map, int64_t number);
+
 }  // namespace mapsieve::storage
 
 #endif  // MAPSIEVE_STORAGE_SQLITE_UPLOADS_H_

@@ -3,6 +3,7 @@
 #include <sqlite3.h>
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -14,6 +15,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
+#include "storage/sqlite_format.h"
 
 namespace mapsieve::storage {
 namespace {
@@ -29,6 +31,7 @@ std::string DirectoryOf(const std::string& path) {
 // Only these and `io_error` make the pager give up a transaction.
 int CodeOf(const absl::Status& status, int io_error) {
   if (status.ok()) return SQLITE_OK;
+  if (absl::IsDataLoss(status)) return SQLITE_IOERR_DATA;
   return absl::IsResourceExhausted(status) ? SQLITE_FULL : io_error;
 }
 
@@ -50,6 +53,7 @@ class SqliteVfs::Impl {
 
   const char* name() const { return is_registered_ ? name_.c_str() : nullptr; }
   const absl::Status& last_failure() const { return failure_; }
+  bool has_page_checksums() const { return has_page_checksums_; }
 
  private:
   // A file of the FileSystem. SQLite allots its memory, and behind it that of
@@ -64,6 +68,13 @@ class SqliteVfs::Impl {
     bool is_log;
     bool name_may_be_new;
     bool is_stale;
+    // Its pages have checksums: it is a database that has them, or the log of
+    // one.
+    bool is_sealed;
+    // Of a log: the header that was written last, of the frame whose page
+    // comes next.
+    int64_t frame_at;
+    std::array<std::byte, kFrameHeaderBytes> frame_header;
   };
 
   static Impl& Of(sqlite3_vfs* vfs) {
@@ -86,8 +97,13 @@ class SqliteVfs::Impl {
 
   int Open(const char* path, sqlite3_file* memory, int flags, int* out_flags);
   absl::Status Refresh(OpenFile& file);
+  absl::StatusOr<bool> IsSealed(const char* path, OpenFile& file, int flags);
+  absl::StatusOr<size_t> ReadChecked(const OpenFile& file, int64_t offset,
+                                     std::span<std::byte> buffer);
   absl::Status Write(OpenFile& file, int64_t offset,
                      std::span<const std::byte> bytes);
+  absl::Status WriteSealed(OpenFile& file, int64_t offset,
+                           std::span<const std::byte> page);
   absl::Status Truncate(OpenFile& file, int64_t size);
   absl::Status Sync(OpenFile& file);
   absl::Status Delete(const std::string& path, bool sync_directory);
@@ -106,6 +122,9 @@ class SqliteVfs::Impl {
   sqlite3_vfs vfs_ = {};
   bool is_registered_ = false;
   absl::Status failure_;
+  bool has_database_ = false;
+  // Of the database opened first.
+  bool has_page_checksums_ = false;
 };
 
 SqliteVfs::Impl::Impl(FileSystem& file_system)
@@ -175,13 +194,21 @@ int SqliteVfs::Impl::Open(const char* path, sqlite3_file* memory, int flags,
   file->name_may_be_new = (flags & SQLITE_OPEN_CREATE) != 0;
   auto opened = file_system_.Open(file->path, ModeOf(flags));
   int code = Keep(opened.status(), SQLITE_CANTOPEN);
-  if (opened.ok()) file->file = *std::move(opened);
+  if (code == SQLITE_OK) {
+    file->file = *std::move(opened);
+    const auto is_sealed = IsSealed(path, *file, flags);
+    code = Keep(is_sealed.status(), SQLITE_IOERR_READ);
+    file->is_sealed = is_sealed.value_or(false);
+  }
   if (code == SQLITE_OK && (flags & SQLITE_OPEN_MAIN_DB) != 0) {
     file->own = reinterpret_cast<sqlite3_file*>(file + 1);
     // It needs the very pointer: behind the name are parameters.
     code = KeepOwn(own_->xOpen(
         own_, path, file->own,
         flags & ~(SQLITE_OPEN_CREATE | SQLITE_OPEN_EXCLUSIVE), nullptr));
+    if (!std::exchange(has_database_, true)) {
+      has_page_checksums_ = file->is_sealed;
+    }
   }
   if (code != SQLITE_OK) {
     file->~OpenFile();
@@ -191,6 +218,53 @@ int SqliteVfs::Impl::Open(const char* path, sqlite3_file* memory, int flags,
   file->base.pMethods = &kMethods;
   if (out_flags != nullptr) *out_flags = flags;
   return SQLITE_OK;
+}
+
+absl::StatusOr<bool> SqliteVfs::Impl::IsSealed(const char* path, OpenFile& file,
+                                               int flags) {
+  if (file.is_log) return Of(sqlite3_database_file_object(path)).is_sealed;
+  if ((flags & SQLITE_OPEN_MAIN_DB) == 0) return false;
+  return HasPageChecksums(*file.file);
+}
+
+absl::StatusOr<size_t> SqliteVfs::Impl::ReadChecked(
+    const OpenFile& file, int64_t offset, std::span<std::byte> buffer) {
+  const auto located = [&](const absl::Status& status) {
+    return Annotate(status, absl::StrCat(file.path, ", offset ", offset));
+  };
+  const bool is_page = buffer.size() == kPageBytes;
+  if (!file.is_sealed || (file.is_log && !is_page)) {
+    return file.file->ReadAt(offset, buffer);
+  }
+  if (file.is_log) {
+    std::array<std::byte, kFrameBytes> frame;
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const size_t got, file.file->ReadAt(offset - kFrameHeaderBytes, frame));
+    if (got != frame.size()) {
+      return located(absl::DataLossError(absl::StrCat(
+          "the log ends in the middle of a frame, after ", got, " bytes")));
+    }
+    const std::span page = std::span(frame).subspan(kFrameHeaderBytes);
+    MAPSIEVE_RETURN_IF_ERROR(located(CheckPage(PageNumberOf(frame), page)));
+    std::copy(page.begin(), page.end(), buffer.begin());
+    return buffer.size();
+  }
+  const auto size = static_cast<int64_t>(buffer.size());
+  MAPSIEVE_ASSIGN_OR_RETURN(const size_t got,
+                            file.file->ReadAt(offset, buffer));
+  // Before SQLite knows the size of a page.
+  if (offset + size <= kDatabaseHeaderBytes) return got;
+  if (!is_page || offset % kPageBytes != 0) {
+    return located(absl::DataLossError(
+        absl::StrCat("damaged header: expected pages of ", kPageBytes,
+                     " bytes, it says ", size)));
+  }
+  if (got != buffer.size()) {
+    return located(absl::DataLossError(absl::StrCat(
+        "expected a page of ", size, " bytes, the file holds ", got)));
+  }
+  MAPSIEVE_RETURN_IF_ERROR(located(CheckPage(offset / kPageBytes + 1, buffer)));
+  return got;
 }
 
 absl::Status SqliteVfs::Impl::Refresh(OpenFile& file) {
@@ -204,7 +278,41 @@ absl::Status SqliteVfs::Impl::Refresh(OpenFile& file) {
 absl::Status SqliteVfs::Impl::Write(OpenFile& file, int64_t offset,
                                     std::span<const std::byte> bytes) {
   MAPSIEVE_RETURN_IF_ERROR(Refresh(file));
+  if (file.is_sealed && bytes.size() == kPageBytes) {
+    return WriteSealed(file, offset, bytes);
+  }
+  if (file.is_log && bytes.size() == kFrameHeaderBytes) {
+    file.frame_at = offset;
+    std::copy(bytes.begin(), bytes.end(), file.frame_header.begin());
+  }
   return file.file->WriteAt(offset, bytes);
+}
+
+absl::Status SqliteVfs::Impl::WriteSealed(OpenFile& file, int64_t offset,
+                                          std::span<const std::byte> bytes) {
+  std::array<std::byte, kFrameBytes> frame;
+  const std::span page = std::span(frame).subspan(kFrameHeaderBytes);
+  std::copy(bytes.begin(), bytes.end(), page.begin());
+  if (!file.is_log) {
+    SealPage(offset / kPageBytes + 1, page);
+    return file.file->WriteAt(offset, page);
+  }
+  // SQLite has summed up the page as it was before it was sealed, so the sums
+  // are ours as well. A page that a transaction writes anew into its frame
+  // comes without a header; SQLite makes those from the file when it commits.
+  const int64_t frame_at = offset - kFrameHeaderBytes;
+  const bool is_rewrite = frame_at != std::exchange(file.frame_at, 0);
+  if (is_rewrite) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const auto header,
+        ReadExactly(*file.file, file.path, frame_at, kFrameHeaderBytes));
+    SealPage(PageNumberOf(header), page);
+    return file.file->WriteAt(offset, page);
+  }
+  std::copy(file.frame_header.begin(), file.frame_header.end(), frame.begin());
+  SealPage(PageNumberOf(frame), page);
+  MAPSIEVE_RETURN_IF_ERROR(SealFrame(*file.file, file.path, frame_at, frame));
+  return file.file->WriteAt(frame_at, frame);
 }
 
 absl::Status SqliteVfs::Impl::Truncate(OpenFile& file, int64_t size) {
@@ -246,7 +354,7 @@ int SqliteVfs::Impl::Read(sqlite3_file* memory, void* data, int size,
   OpenFile& file = Of(memory);
   const std::span buffer(static_cast<std::byte*>(data),
                          static_cast<size_t>(size));
-  const auto got = file.file->ReadAt(offset, buffer);
+  const auto got = file.vfs->ReadChecked(file, offset, buffer);
   if (!got.ok()) return file.vfs->Keep(got.status(), SQLITE_IOERR_READ);
   if (*got == buffer.size()) return SQLITE_OK;
   std::fill(buffer.begin() + static_cast<ptrdiff_t>(*got), buffer.end(),
@@ -356,6 +464,10 @@ const char* SqliteVfs::name() const { return impl_->name(); }
 
 const absl::Status& SqliteVfs::last_failure() const {
   return impl_->last_failure();
+}
+
+bool SqliteVfs::has_page_checksums() const {
+  return impl_->has_page_checksums();
 }
 
 }  // namespace mapsieve::storage

@@ -22,6 +22,10 @@ namespace mapsieve::storage {
 /// * After a failed sync of the log it is opened anew for the next write:
 ///   SQLite writes all that was not synced once more. The database file stays
 ///   unsyncable until the connection is closed: the log keeps what it lacks.
+/// * Pages of a database that has checksums get theirs when they are written,
+///   to the database or to its log, and are compared with them when they are
+///   read: a page that is not what was written is kDataLoss, naming file,
+///   offset, expected and actual.
 class SqliteVfs {
  public:
   /// `file_system` outlives the object. The object outlives the connection.
@@ -36,6 +40,10 @@ class SqliteVfs {
   /// The error of the operation that failed last; OK if it was one of SQLite's
   /// own implementation.
   const absl::Status& last_failure() const;
+
+  /// Whether the pages of the connection's own database carry checksums
+  /// (HasPageChecksums); false before it is open.
+  bool has_page_checksums() const;
 
  private:
   class Impl;

@@ -167,19 +167,23 @@ absl::StatusOr<BlobId> BlobWriter::Put(std::span<const std::byte> bytes) {
 }
 
 Store::Store(FileSystem& file_system, std::string directory,
-             const StoreOptions& options)
+             const StoreOptions& options, StoreParts parts)
     : file_system_(file_system),
       directory_(std::move(directory)),
       options_(options),
-      reserve_(file_system, directory_, options.reserve_bytes) {}
+      reserve_(file_system, directory_, options.reserve_bytes),
+      catalogue_(std::move(parts.catalogue)),
+      blobs_(std::move(parts.blobs)) {}
 
 Store::~Store() = default;
 
-absl::StatusOr<std::unique_ptr<Store>> Store::Open(
-    FileSystem& file_system, const std::string& directory,
-    const StoreOptions& options) {
+absl::StatusOr<std::unique_ptr<Store>> Store::Open(FileSystem& file_system,
+                                                   const std::string& directory,
+                                                   const StoreOptions& options,
+                                                   StoreParts parts) {
   MAPSIEVE_RETURN_IF_ERROR(options.Validate());
-  std::unique_ptr<Store> store(new Store(file_system, directory, options));
+  std::unique_ptr<Store> store(
+      new Store(file_system, directory, options, std::move(parts)));
   MAPSIEVE_RETURN_IF_ERROR(store->OpenParts());
   return store;
 }
@@ -198,17 +202,21 @@ absl::Status Store::OpenParts() {
 
   MAPSIEVE_RETURN_IF_ERROR(
       file_system_.RemoveTree(JoinPath(directory_, kScratchDirectory)));
-  // A new catalogue over existing blobs would end in their collection.
-  MAPSIEVE_ASSIGN_OR_RETURN(const bool holds_blobs, HoldsBlobs());
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      catalogue_,
-      OpenSqliteCatalogue(file_system_, JoinPath(directory_, kCatalogueFile),
-                          holds_blobs ? IfAbsent::kFail : IfAbsent::kCreate));
-  MAPSIEVE_RETURN_IF_ERROR(file_system_.SyncDirectory(directory_));
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      blobs_,
-      OpenLocalBlobStore(file_system_, JoinPath(directory_, kBlobDirectory),
-                         reserve_));
+  if (catalogue_ == nullptr) {
+    // A new catalogue over existing blobs would end in their collection.
+    MAPSIEVE_ASSIGN_OR_RETURN(const bool holds_blobs, HoldsBlobs());
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        catalogue_,
+        OpenSqliteCatalogue(file_system_, JoinPath(directory_, kCatalogueFile),
+                            holds_blobs ? IfAbsent::kFail : IfAbsent::kCreate));
+    MAPSIEVE_RETURN_IF_ERROR(file_system_.SyncDirectory(directory_));
+  }
+  if (blobs_ == nullptr) {
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        blobs_,
+        OpenLocalBlobStore(file_system_, JoinPath(directory_, kBlobDirectory),
+                           reserve_));
+  }
   MAPSIEVE_ASSIGN_OR_RETURN(
       uploads_,
       UploadStore::Open(file_system_, JoinPath(directory_, kUploadDirectory),

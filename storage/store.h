@@ -42,6 +42,13 @@ struct StoreOptions {
   absl::Status Validate() const;
 };
 
+/// What a store keeps its maps in. What is absent is in its directory: the
+/// catalogue a SQLite database, the blobs files.
+struct StoreParts {
+  std::unique_ptr<Catalogue> catalogue;
+  std::unique_ptr<BlobStore> blobs;
+};
+
 /// What CollectGarbage removed.
 struct GarbageReport {
   int64_t expired_revision_count = 0;
@@ -129,13 +136,13 @@ class BlobWriter {
 class Store {
  public:
   /// Opens `directory`, which is made if absent, and clears what a crash left
-  /// there. `file_system` outlives the store.
+  /// there. `file_system` outlives the store, which takes over `parts`.
   /// kAborted: another process has it, naming its id; kFailedPrecondition: it
   /// holds other things, or was written by a newer version; kDataLoss: the
   /// catalogue is damaged or gone; kInvalidArgument: the options.
   static absl::StatusOr<std::unique_ptr<Store>> Open(
       FileSystem& file_system, const std::string& directory,
-      const StoreOptions& options = {});
+      const StoreOptions& options = {}, StoreParts parts = {});
   ~Store();
   Store(const Store&) = delete;
   Store& operator=(const Store&) = delete;
@@ -191,7 +198,7 @@ class Store {
   friend class ReadSnapshot;
   friend class BlobWriter;
   Store(FileSystem& file_system, std::string directory,
-        const StoreOptions& options);
+        const StoreOptions& options, StoreParts parts);
   absl::Status OpenParts();
   absl::StatusOr<bool> HoldsBlobs();
   std::shared_ptr<ReadSnapshot> Pin(const MapRecord& map, int64_t revision)

@@ -11,6 +11,7 @@
 #include "storage/local_blob_store.h"
 #include "tests/storage/storage_test_util.h"
 #include "tests/testing/fault_file_system.h"
+#include "tests/testing/memory_blob_store.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::storage {
@@ -35,6 +36,8 @@ struct BlobStoreImplementation {
   std::string name;
   /// Opens the store that lives in a directory, or makes it.
   std::function<OpenedStore(const std::string&)> open;
+  /// Whether it is there again when it was closed.
+  bool lasts = true;
 };
 
 OpenedStore OpenLocal(FileSystem& files, const std::string& directory) {
@@ -51,6 +54,7 @@ class BlobStoreTest : public ::testing::TestWithParam<BlobStoreImplementation> {
  protected:
   void SetUp() override { Reopen(); }
   void Reopen() {
+    if (opened_.blobs != nullptr && !GetParam().lasts) return;
     opened_ = {};
     opened_ = GetParam().open(directory_.path());
     ASSERT_NE(opened_.blobs, nullptr);
@@ -61,15 +65,20 @@ class BlobStoreTest : public ::testing::TestWithParam<BlobStoreImplementation> {
   OpenedStore opened_;
 };
 
-INSTANTIATE_TEST_SUITE_P(All, BlobStoreTest,
-                         ::testing::Values(BlobStoreImplementation{
-                             "Local",
-                             [](const std::string& directory) {
-                               return OpenLocal(PosixFileSystem(), directory);
-                             }}),
-                         [](const auto& instance) {
-                           return instance.param.name;
-                         });
+OpenedStore OpenLocalDirectory(const std::string& directory) {
+  return OpenLocal(PosixFileSystem(), directory);
+}
+
+OpenedStore MakeInMemory(const std::string&) {
+  return {.blobs = std::make_unique<testing::MemoryBlobStore>()};
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, BlobStoreTest,
+    ::testing::Values(BlobStoreImplementation{"Local", OpenLocalDirectory},
+                      BlobStoreImplementation{"Memory", MakeInMemory,
+                                              /*lasts=*/false}),
+    [](const auto& instance) { return instance.param.name; });
 
 TEST_P(BlobStoreTest, ABlobIsNamedByItsContentAndStays) {
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const BlobId id,

