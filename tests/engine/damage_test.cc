@@ -23,7 +23,7 @@ using ::testing::HasSubstr;
 using ::testing::MatchesRegex;
 
 // Of so many bytes of a file one is damaged, unless all are asked for.
-constexpr size_t kBlobStride = 61;
+constexpr size_t kBlobStride = 211;
 constexpr size_t kCatalogueStride = 2003;
 
 class DamageTest : public ::testing::Test {

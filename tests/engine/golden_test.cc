@@ -25,6 +25,7 @@ using ::testing::HasSubstr;
 /// Small, of all labels and attributes.
 LatticeCloud SmallScene(uint32_t seed) { return Split(MakeScene(seed), 60)[0]; }
 
+/// Directions are left out: versions differ in how finely they store them.
 std::string Digest(const LatticeCloud& cloud) {
   const LatticeCloud sorted = InCanonicalOrder(cloud);
   ContentHasher hasher;
@@ -35,7 +36,9 @@ std::string Digest(const LatticeCloud& cloud) {
     add_text(absl::StrCat(q.x, ",", q.y, ",", q.z, ";"));
   }
   for (const core::Column& column : sorted.attributes.columns()) {
-    add_text(column.name());
+    const std::string& name = column.name();
+    if (name == "nx" || name == "ny" || name == "nz") continue;
+    add_text(name);
     for (size_t i = 0; i < column.size(); ++i) {
       add_text(column.IsMissing(i) ? "missing;" : "there;");
     }
