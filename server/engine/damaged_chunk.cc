@@ -24,18 +24,8 @@ StoredContent ToContent(ChunkKind kind) {
   return StoredContent::kRaw;
 }
 
-}  // namespace
-
-DamagedChunk MakeDamagedChunk(const ChunkRef& chunk,
-                              const absl::Status& damage) {
-  return {.content = ToContent(chunk.kind),
-          .tile = chunk.tile,
-          .blob_id = chunk.blob_id,
-          .problem = std::string(damage.message())};
-}
-
-absl::Status CheckChunk(const storage::ReadSnapshot& snapshot,
-                        const ChunkRef& chunk) {
+absl::Status CheckContent(const storage::ReadSnapshot& snapshot,
+                          const ChunkRef& chunk) {
   if (chunk.kind == ChunkKind::kHistory) {
     return ReadDeaths(snapshot, chunk).status();
   }
@@ -51,6 +41,26 @@ absl::Status CheckChunk(const storage::ReadSnapshot& snapshot,
       absl::StrCat(snapshot.Describe(chunk),
                    ": the catalogue has other counts, depths or bounds of its "
                    "points than it holds"));
+}
+
+}  // namespace
+
+DamagedChunk MakeDamagedChunk(const ChunkRef& chunk,
+                              const absl::Status& damage) {
+  return {.content = ToContent(chunk.kind),
+          .tile = chunk.tile,
+          .blob_id = chunk.blob_id,
+          .problem = std::string(damage.message())};
+}
+
+absl::Status CheckChunk(const storage::ReadSnapshot& snapshot,
+                        const ChunkRef& chunk) {
+  const absl::Status status = CheckContent(snapshot, chunk);
+  if (!absl::IsDataLoss(status)) return status;
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> next,
+                            snapshot.ListAllChunks(chunk.number - 1, 1));
+  const bool is_there = !next.empty() && next[0].number == chunk.number;
+  return is_there ? status : absl::OkStatus();
 }
 
 }  // namespace mapsieve::engine

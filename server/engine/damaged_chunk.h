@@ -35,8 +35,9 @@ struct DamagedChunk {
 DamagedChunk MakeDamagedChunk(const storage::ChunkRef& chunk,
                               const absl::Status& damage);
 
-/// Reads a chunk of the snapshot's map. kDataLoss: it is missing, or not what
-/// was stored, or not what its reference says.
+/// Reads a chunk of any revision of the snapshot's map. OK if the last revision
+/// that has it expired meanwhile. kDataLoss: it is missing, or not what was
+/// stored, or not what its reference says.
 absl::Status CheckChunk(const storage::ReadSnapshot& snapshot,
                         const storage::ChunkRef& chunk);
 

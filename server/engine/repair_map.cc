@@ -57,7 +57,7 @@ class MapRepair {
                                     newest_->map().uid, before, kPageSize));
       if (page.empty()) break;
       for (const storage::RevisionRecord& revision : page) {
-        if (!revision.spec.product.has_value()) continue;
+        if (!revision.spec.product.has_value() || revision.is_expired) continue;
         MAPSIEVE_RETURN_IF_ERROR(RepairRevision(revision.number));
       }
       before = page.back().number;
@@ -116,9 +116,10 @@ class MapRepair {
   }
 
   absl::Status RepairRevision(int64_t number) {
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const auto snapshot,
-        store_.OpenSnapshot(newest_->map().spec.id, number));
+    const auto opened = store_.OpenSnapshot(newest_->map().spec.id, number);
+    // It expired meanwhile.
+    if (absl::IsOutOfRange(opened.status())) return absl::OkStatus();
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto snapshot, opened);
     MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> wanted,
                               PartOf(*snapshot, damaged_));
     if (wanted.empty()) return absl::OkStatus();

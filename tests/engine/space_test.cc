@@ -1,5 +1,6 @@
 // What the service does without space, and to save it.
 
+#include <filesystem>
 #include <set>
 #include <string>
 #include <vector>
@@ -190,6 +191,22 @@ TEST_F(RetentionTest, KeptRevisionsAreAsIfAllWereKept) {
   ASSERT_EQ(revisions.size(), 13u);
   EXPECT_FALSE(revisions[0].is_expired);
   EXPECT_TRUE(revisions[12].is_expired);
+
+  // A repair that does not get far goes through all that are kept.
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(
+           keeping_.path() + "/data/blobs")) {
+    if (entry.is_regular_file()) storage::WriteWholeFile(entry.path(), "");
+  }
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Operation started,
+                                keeping_->RepairMap("map"));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Operation done,
+      keeping_->WaitOperation(started.operation_id, absl::Minutes(1)));
+  MAPSIEVE_ASSERT_OK(done.error);
+  ASSERT_TRUE(done.repair_report.has_value());
+  EXPECT_GT(done.repair_report->raw_chunk_count, 0);
+  EXPECT_EQ(done.repair_report->repaired_chunk_count, 0);
+  EXPECT_THAT(done.repair_report->obstacle, HasSubstr("revision 13"));
 }
 
 }  // namespace
