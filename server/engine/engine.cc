@@ -619,60 +619,34 @@ class LocalEngine final : public Engine {
 
   absl::StatusOr<JobResult> RunVerb(const std::string& map_id,
                                     const JobSpec& spec,
-                                    const ExecutionContext& context) {
+                                    ExecutionContext context) {
+    const bool filters = spec.verb == OperationVerb::kProcessMap ||
+                         spec.verb == OperationVerb::kRepairMap;
+    context.executor = filters ? filter_workers_.get() : io_workers_.get();
     switch (spec.verb) {
       case OperationVerb::kFinalizeUpload:
-        return RunFinalize(map_id, spec, context);
+        return ResultOf(AddUpload(*store_, map_id, spec.upload_uid, spec.region,
+                                  ingest_limits_, context));
       case OperationVerb::kProcessMap:
-        return RunProcess(map_id, spec, context);
+        return ResultOf(ProcessStoredMap(*store_, map_id, spec.map_uid,
+                                         spec.options, process_limits_,
+                                         *io_workers_, context));
       case OperationVerb::kDeleteRegion:
-        return RunDelete(map_id, spec, context);
+        return ResultOf(
+            DeleteStoredRegion(*store_, map_id, spec, ingest_limits_, context));
       case OperationVerb::kRepairMap:
-        return RunRepair(map_id, spec, context);
+        return ResultOf(RepairStoredMap(*store_, map_id, spec.map_uid,
+                                        process_limits_, *io_workers_,
+                                        context));
     }
     return absl::InternalError("an operation of no verb");
   }
 
-  absl::StatusOr<JobResult> RunDelete(const std::string& map_id,
-                                      const JobSpec& spec,
-                                      ExecutionContext context) {
-    context.executor = io_workers_.get();
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const DeleteReport report,
-        DeleteStoredRegion(*store_, map_id, spec, ingest_limits_, context));
-    return JobResult(report);
-  }
-
-  absl::StatusOr<JobResult> RunFinalize(const std::string& map_id,
-                                        const JobSpec& spec,
-                                        ExecutionContext context) {
-    context.executor = io_workers_.get();
-    MAPSIEVE_ASSIGN_OR_RETURN(const UploadReport report,
-                              AddUpload(*store_, map_id, spec.upload_uid,
-                                        spec.region, ingest_limits_, context));
-    return JobResult(report);
-  }
-
-  absl::StatusOr<JobResult> RunProcess(const std::string& map_id,
-                                       const JobSpec& spec,
-                                       ExecutionContext context) {
-    context.executor = filter_workers_.get();
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const ProcessReport report,
-        ProcessStoredMap(*store_, map_id, spec.map_uid, spec.options,
-                         process_limits_, *io_workers_, context));
-    return JobResult(report);
-  }
-
-  absl::StatusOr<JobResult> RunRepair(const std::string& map_id,
-                                      const JobSpec& spec,
-                                      ExecutionContext context) {
-    context.executor = filter_workers_.get();
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const RepairReport report,
-        RepairStoredMap(*store_, map_id, spec.map_uid, process_limits_,
-                        *io_workers_, context));
-    return JobResult(report);
+  template <typename Report>
+  static absl::StatusOr<JobResult> ResultOf(
+      const absl::StatusOr<Report>& report) {
+    MAPSIEVE_RETURN_IF_ERROR(report.status());
+    return JobResult(*report);
   }
 
   const ProcessLimits process_limits_;

@@ -44,6 +44,12 @@ std::vector<core::LatticeCloud> Split(const core::LatticeCloud& cloud,
 std::vector<std::byte> MakeUpload(const core::LatticeCloud& cloud,
                                   size_t block_points = 3000);
 
+/// For uploads of MakeScene, in several chunks a tile.
+inline constexpr IngestLimits kSmallChunks = {.block_bytes = 1 << 26,
+                                              .bucket_bytes = 1 << 28,
+                                              .chunk_bytes = 50'000,
+                                              .chunk_count = 100'000};
+
 /// What the service answers to a query of the whole map, in its order: the
 /// filter and the levels of detail in memory.
 core::LatticeCloud FilterLocally(const core::LatticeCloud& cloud,

@@ -28,10 +28,6 @@ using storage::ChunkKind;
 using storage::ChunkRef;
 using ::testing::HasSubstr;
 
-constexpr IngestLimits kIngest = {.block_bytes = 1 << 26,
-                                  .bucket_bytes = 1 << 28,
-                                  .chunk_bytes = 50'000,
-                                  .chunk_count = 100'000};
 /// Many units, and several chunks for a tile.
 constexpr ProcessLimits kWriting = {.unit_points = 500,
                                     .tile_points = 1 << 26,
@@ -102,7 +98,7 @@ std::vector<Damage> AllDamages() {
 }
 
 TEST_F(RepairTest, MakesEveryDamagedChunkOfTheFilterAgain) {
-  MAPSIEVE_ASSERT_OK(workshop_.Add(Split(MakeScene(70), 4)[0], kIngest));
+  MAPSIEVE_ASSERT_OK(workshop_.Add(Split(MakeScene(70), 4)[0], kSmallChunks));
   MAPSIEVE_ASSERT_OK(
       workshop_.Process(SceneOptions(DensityRule::kPaper), kWriting));
   const std::vector<ChunkRef> products = workshop_.Chunks(ChunkKind::kProduct);
@@ -153,14 +149,14 @@ TEST_F(RepairTest, MakesEveryDamagedChunkOfTheFilterAgain) {
 TEST_F(RepairTest, MakesChunksOfAllRevisionsAgain) {
   const auto parts = Split(MakeScene(71), 8);
   const core::SpdfOptions paper = SceneOptions(DensityRule::kPaper);
-  MAPSIEVE_ASSERT_OK(workshop_.Add(parts[0], kIngest));
+  MAPSIEVE_ASSERT_OK(workshop_.Add(parts[0], kSmallChunks));
   MAPSIEVE_ASSERT_OK(workshop_.Process(paper, kWriting));
   const int64_t first = workshop_.map().newest_revision;
   // An update of few tiles: half of the chunks stay.
   LatticeCloud few = parts[1].Select(std::vector<uint32_t>{1, 2, 3});
   few.positions = {
       {20'000, 20'000, 5}, {20'010, 20'000, 5}, {20'000, 20'020, 5}};
-  MAPSIEVE_ASSERT_OK(workshop_.Add(few, kIngest));
+  MAPSIEVE_ASSERT_OK(workshop_.Add(few, kSmallChunks));
   MAPSIEVE_ASSERT_OK(workshop_.Process(paper, kRepairing));
   MAPSIEVE_ASSERT_OK(
       workshop_.Process(SceneOptions(DensityRule::kQuota), kRepairing));
@@ -177,7 +173,7 @@ TEST_F(RepairTest, MakesChunksOfAllRevisionsAgain) {
 }
 
 TEST_F(RepairTest, DamagedRawPointsAreToldAndNothingIsMadeUp) {
-  MAPSIEVE_ASSERT_OK(workshop_.Add(Split(MakeScene(72), 8)[0], kIngest));
+  MAPSIEVE_ASSERT_OK(workshop_.Add(Split(MakeScene(72), 8)[0], kSmallChunks));
   MAPSIEVE_ASSERT_OK(
       workshop_.Process(SceneOptions(DensityRule::kPaper), kWriting));
   const Files made = Blobs(false);
@@ -201,7 +197,7 @@ TEST_F(RepairTest, DamagedRawPointsAreToldAndNothingIsMadeUp) {
 }
 
 TEST_F(RepairTest, WhatTheFilterDoesNotMakeIsNotPutBack) {
-  MAPSIEVE_ASSERT_OK(workshop_.Add(Split(MakeScene(73), 8)[0], kIngest));
+  MAPSIEVE_ASSERT_OK(workshop_.Add(Split(MakeScene(73), 8)[0], kSmallChunks));
   MAPSIEVE_ASSERT_OK(
       workshop_.Process(SceneOptions(DensityRule::kPaper), kWriting));
   // Another version's chunk: the same points, one with another confidence.
@@ -235,7 +231,7 @@ TEST_F(RepairTest, WhatTheFilterDoesNotMakeIsNotPutBack) {
 }
 
 TEST_F(RepairTest, StopsWhenAsked) {
-  MAPSIEVE_ASSERT_OK(workshop_.Add(Split(MakeScene(74), 8)[0], kIngest));
+  MAPSIEVE_ASSERT_OK(workshop_.Add(Split(MakeScene(74), 8)[0], kSmallChunks));
   MAPSIEVE_ASSERT_OK(
       workshop_.Process(SceneOptions(DensityRule::kPaper), kWriting));
   const Files made = Blobs(false);

@@ -26,10 +26,6 @@ using storage::ChunkRef;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
-constexpr IngestLimits kIngest = {.block_bytes = 1 << 26,
-                                  .bucket_bytes = 1 << 28,
-                                  .chunk_bytes = 50'000,
-                                  .chunk_count = 100'000};
 constexpr ProcessLimits kProcess = {.unit_points = 2000,
                                     .tile_points = 1 << 26,
                                     .pending_bytes = 1 << 18,
@@ -85,7 +81,7 @@ TEST_P(VerifyTest, TilesFilteredAloneAreWhatTheMapHolds) {
                            moved.positions.end());
   }
   Workshop workshop(11);
-  MAPSIEVE_ASSERT_OK(workshop.Add(scene, kIngest));
+  MAPSIEVE_ASSERT_OK(workshop.Add(scene, kSmallChunks));
   MAPSIEVE_ASSERT_OK(workshop.Process(SceneOptions(GetParam()), kProcess));
   const int64_t chunks =
       static_cast<int64_t>(workshop.Chunks(ChunkKind::kRaw).size() +
@@ -108,7 +104,7 @@ INSTANTIATE_TEST_SUITE_P(Rules, VerifyTest,
 
 TEST(Verify, FindsEveryDamagedChunkOfEveryRevision) {
   Workshop workshop(11);
-  MAPSIEVE_ASSERT_OK(workshop.Add(MakeScene(30), kIngest));
+  MAPSIEVE_ASSERT_OK(workshop.Add(MakeScene(30), kSmallChunks));
   MAPSIEVE_ASSERT_OK(
       workshop.Process(SceneOptions(DensityRule::kPaper), kProcess));
   std::map<std::string, StoredContent> damaged;
@@ -143,7 +139,7 @@ TEST(Verify, FindsEveryDamagedChunkOfEveryRevision) {
 
 TEST(Verify, FindsATileThatIsNotWhatItsPointsGive) {
   Workshop workshop(12);
-  MAPSIEVE_ASSERT_OK(workshop.Add(MakeScene(31), kIngest));
+  MAPSIEVE_ASSERT_OK(workshop.Add(MakeScene(31), kSmallChunks));
   MAPSIEVE_ASSERT_OK(
       workshop.Process(SceneOptions(DensityRule::kPaper), kProcess));
   // A wrong confidence, stored as carefully as a right one.
