@@ -15,7 +15,7 @@ namespace mapsieve::core {
 namespace {
 
 /// Rows of one parallel task.
-constexpr size_t kTaskRows = 1 << 16;
+constexpr size_t kTaskRows = 1 << 14;
 
 /// Sort key of a row among those of one cell.
 struct CodedRow {

@@ -18,7 +18,7 @@ LatticeCloud LatticeCloud::Select(std::span<const uint32_t> rows) const {
 
 LatticeCloud Quantize(PointCloud cloud, const Lattice& lattice,
                       RefusedCounts& refused, Executor& executor) {
-  constexpr size_t kTaskRows = 1 << 16;
+  constexpr size_t kTaskRows = 1 << 14;
   const size_t size = cloud.size();
   LatticeCloud result{.lattice = lattice};
   ReserveBulk(result.positions, size);

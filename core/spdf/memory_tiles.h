@@ -35,7 +35,7 @@ int ChooseMemoryTileLevel(size_t size, const PointAt& point,
                           Executor& executor) {
   // How many neighbours in the order part at each level.
   using Counts = std::array<int64_t, kMaxCellLevel + 2>;
-  constexpr size_t kTaskPoints = 1 << 16;
+  constexpr size_t kTaskPoints = 1 << 14;
   std::vector<Counts> counts(PartCount(size, kTaskPoints));
   ForEachPart(
       executor, size, kTaskPoints, [&](size_t part, size_t begin, size_t end) {
