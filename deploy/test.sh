@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # Builds and tests everything on a bare Debian 12: a release build with all
-# tests, AddressSanitizer and UBSan on the unit and fault tests, ThreadSanitizer
-# on all that is concurrent below the RPC layer. The last line of the output is
-# "N passed, N failed".
+# tests; AddressSanitizer and UBSan on the unit and fault tests, and 20 s of each
+# fuzzer; ThreadSanitizer on all that is concurrent below the RPC layer. The last
+# line of the output is "N passed, N failed".
 #   test.sh          what a change must pass
-#   test.sh --long   the slow tests too, and 20 s of each fuzzer
+#   test.sh --long   the slow tests too
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -59,9 +59,12 @@ run_programs() {  # BUILD PROGRAM…
 step "ASan and UBSan build"
 configure asan
 asan=$(cat build/asan/unit_test_programs.txt)
-cmake --build --preset asan -j "$jobs" --target $asan
+cmake --build --preset asan -j "$jobs" --target $asan fuzzers
 step "ASan and UBSan tests"
 run_programs asan $asan
+step "fuzzers"
+ctest --test-dir build/asan -L fuzz -j "$jobs" --output-on-failure --no-tests=error \
+  --output-junit "$PWD/$results/fuzz.xml" | tail -n 60 || true
 
 step "TSan build"
 configure tsan
@@ -69,14 +72,5 @@ tsan=$(cat build/tsan/threaded_test_programs.txt)
 cmake --build --preset tsan -j "$jobs" --target $tsan
 step "TSan tests"
 run_programs tsan $tsan
-
-if $long; then
-  step "fuzzer build"
-  configure fuzz
-  cmake --build --preset fuzz -j "$jobs"
-  step "fuzzers"
-  ctest --test-dir build/fuzz -L fuzz -j "$jobs" --output-on-failure --no-tests=error \
-    --output-junit "$PWD/$results/fuzz.xml" | tail -n 60 || true
-fi
 
 ./tests/count_results.py "$results"

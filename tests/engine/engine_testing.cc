@@ -204,10 +204,10 @@ LatticeCloud InCanonicalOrder(const LatticeCloud& cloud) {
   return sorted.Select(rows);
 }
 
-Workshop::Workshop(int tile_level, int worker_count)
+Workshop::Workshop(int tile_level, int worker_count, storage::StoreParts parts)
     : workers_(MakeWorkerPool(worker_count)) {
-  auto store =
-      storage::Store::Open(storage::PosixFileSystem(), dir_.path() + "/data");
+  auto store = storage::Store::Open(
+      storage::PosixFileSystem(), dir_.path() + "/data", {}, std::move(parts));
   EXPECT_TRUE(store.ok()) << store.status();
   store_ = *std::move(store);
   const auto map =

@@ -75,10 +75,11 @@ void ExpectSameCloud(const core::LatticeCloud& actual,
 core::LatticeCloud InCanonicalOrder(const core::LatticeCloud& cloud);
 
 /// The parts of the engine over a store, where tests choose limits that no
-/// EngineOptions gives. Map "map".
+/// EngineOptions gives. Map "map". What `parts` lacks is on the disk.
 class Workshop {
  public:
-  explicit Workshop(int tile_level, int worker_count = 1);
+  explicit Workshop(int tile_level, int worker_count = 1,
+                    storage::StoreParts parts = {});
 
   storage::Store& store() { return *store_; }
   const std::string& path() const { return dir_.path(); }

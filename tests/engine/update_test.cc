@@ -2,6 +2,7 @@
 // the same points.
 
 #include <map>
+#include <memory>
 #include <random>
 #include <set>
 #include <string>
@@ -12,6 +13,8 @@
 #include "gtest/gtest.h"
 #include "tests/engine/engine_testing.h"
 #include "tests/testing/clouds.h"
+#include "tests/testing/memory_blob_store.h"
+#include "tests/testing/memory_catalogue.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::engine::testing {
@@ -126,6 +129,43 @@ TEST_P(UpdateTest, GivesTheBytesOfAMapBuiltFromTheSamePoints) {
 INSTANTIATE_TEST_SUITE_P(Rules, UpdateTest,
                          ::testing::Values(DensityRule::kPaper,
                                            DensityRule::kQuota));
+
+TEST(Update, IsTheSameWhateverTheStoreKeepsItsMapsIn) {
+  const SpdfOptions options = SceneOptions(DensityRule::kPaper);
+  const LatticeCloud scene = MakeScene(11);
+  const RegionShape hole = Box{{0.5, 0.5, -4}, {2.5, 2.5, 4}};
+  Workshop on_disk(11);
+  Workshop in_memory(
+      11, 1,
+      {.catalogue = std::make_unique<mapsieve::testing::MemoryCatalogue>(),
+       .blobs = std::make_unique<mapsieve::testing::MemoryBlobStore>()});
+  const auto expect_same = [&] {
+    for (const ChunkKind kind :
+         {ChunkKind::kRaw, ChunkKind::kProduct, ChunkKind::kHistory}) {
+      EXPECT_EQ(ContentsOf(in_memory, kind), ContentsOf(on_disk, kind));
+    }
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer actual, in_memory.Query({}));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer expected, on_disk.Query({}));
+    EXPECT_EQ(actual.header.revision, expected.header.revision);
+    ExpectSameCloud(actual.points, expected.points);
+  };
+  for (Workshop* workshop : {&on_disk, &in_memory}) {
+    AddAndProcess(scene, options, *workshop);
+  }
+  expect_same();
+  const int64_t whole = NewestRevision(on_disk).number;
+  for (Workshop* workshop : {&on_disk, &in_memory}) {
+    MAPSIEVE_ASSERT_OK(workshop->Delete(hole, kIngest));
+    MAPSIEVE_ASSERT_OK(workshop->Process(options, kProcess));
+  }
+  expect_same();
+  for (Workshop* workshop : {&on_disk, &in_memory}) {
+    MAPSIEVE_ASSERT_OK(
+        workshop->store().catalogue().RollBack(workshop->map().uid, whole));
+    MAPSIEVE_ASSERT_OK(workshop->store().CollectGarbage());
+  }
+  expect_same();
+}
 
 TEST(Update, SharesTheChunksOfTilesOutOfReach) {
   const SpdfOptions options = SceneOptions(DensityRule::kPaper);
