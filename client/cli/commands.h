@@ -7,6 +7,7 @@
 
 #include "absl/status/status.h"
 #include "client/api/map_types.h"
+#include "client/formats/occupancy_file.h"
 #include "client/lab/render.h"
 #include "client/lab/simulate.h"
 #include "core/spdf/spdf_options.h"
@@ -55,6 +56,15 @@ struct QueryCommand {
 };
 /// Chunks that spec.allow_partial leaves out are lines on stderr and no error.
 absl::Status RunQuery(const CommonOptions& common, const QueryCommand& command);
+
+struct ExportCommand {
+  /// Of raw points.
+  QuerySpec spec;
+  OccupancyOptions occupancy;
+  std::string output;
+};
+absl::Status RunExport(const CommonOptions& common,
+                       const ExportCommand& command);
 
 struct DeleteRegionCommand {
   std::string map;

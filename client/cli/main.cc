@@ -286,6 +286,41 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+void AddExport(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<ExportCommand>();
+  auto region = std::make_shared<RegionOptions>();
+  auto origin = std::make_shared<std::vector<double>>();
+  CLI::App* command = app.add_subcommand(
+      "export", "Write the uploaded points of a region as an OctoMap");
+  command->add_option("MAP", options->spec.map_id, "Id of the map")->required();
+  region->AddTo(*command);
+  command
+      ->add_option("--occupancy", options->occupancy.voxel_edge,
+                   "Edge of a voxel in map units; one that holds a point is "
+                   "occupied, the others are unknown")
+      ->required()
+      ->check(CLI::PositiveNumber);
+  command
+      ->add_option("--origin", *origin,
+                   "x y z in map units that become the file's origin, which is "
+                   "at most 2^15 voxels from any point; default 0 0 0")
+      ->expected(3)
+      ->allow_extra_args(false);
+  command->add_option("--revision", options->spec.revision,
+                      "Default: the newest one");
+  command
+      ->add_option("-o,--output", options->output, ".bt, or .ot with log-odds")
+      ->required();
+  command->callback([=, &common, &run] {
+    options->spec.raw = true;
+    options->spec.region = region->region();
+    if (!origin->empty()) {
+      options->occupancy.origin = {(*origin)[0], (*origin)[1], (*origin)[2]};
+    }
+    run = [=, &common] { return RunExport(common, *options); };
+  });
+}
+
 void AddMapCommands(CLI::App& app, const CommonOptions& common, Run& run) {
   auto map = std::make_shared<std::string>();
   auto force = std::make_shared<bool>(false);
@@ -442,6 +477,7 @@ int Main(int argc, char** argv) {
   AddUpload(app, common, run);
   AddProcess(app, common, run);
   AddQuery(app, common, run);
+  AddExport(app, common, run);
   AddDeleteRegion(app, common, run);
   AddReplaceRegion(app, common, run);
   AddRevisionCommands(app, common, run);

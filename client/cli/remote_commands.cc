@@ -16,6 +16,7 @@
 #include "client/cli/output.h"
 #include "client/cli/progress_bar.h"
 #include "client/cli/revision_json.h"
+#include "client/formats/occupancy_file.h"
 #include "client/formats/point_file.h"
 #include "core/base/status.h"
 
@@ -262,6 +263,26 @@ absl::Status RunUpload(const CommonOptions& common,
   return absl::OkStatus();
 }
 
+/// Writes a whole answer and returns how many points it has; chunks that it
+/// lacks are lines on stderr.
+absl::StatusOr<int64_t> WriteAnswer(const std::string& title,
+                                    QueryStream& stream, PointWriter& writer) {
+  int64_t count = 0;
+  {
+    ProgressBar bar(title, "points");
+    while (true) {
+      MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud batch, stream.Next());
+      if (batch.size() == 0) break;
+      MAPSIEVE_RETURN_IF_ERROR(writer.Write(core::ToPointCloud(batch)));
+      count += static_cast<int64_t>(batch.size());
+      bar.Report(count, stream.header().candidate_point_count);
+    }
+  }
+  MAPSIEVE_RETURN_IF_ERROR(writer.Finish());
+  TellMissing(stream.summary());
+  return count;
+}
+
 absl::Status RunQuery(const CommonOptions& common,
                       const QueryCommand& command) {
   const Clock::time_point start = Clock::now();
@@ -276,20 +297,9 @@ absl::Status RunQuery(const CommonOptions& common,
       CreatePointFile(command.output, {.attributes = stream->header().columns,
                                        .coordinate_step = Step(map),
                                        .crs_wkt = map.crs_wkt}));
-  int64_t count = 0;
-  {
-    ProgressBar bar("query " + map.id, "points");
-    while (true) {
-      MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud batch, stream->Next());
-      if (batch.size() == 0) break;
-      MAPSIEVE_RETURN_IF_ERROR(writer->Write(core::ToPointCloud(batch)));
-      count += static_cast<int64_t>(batch.size());
-      bar.Report(count, stream->header().candidate_point_count);
-    }
-  }
-  MAPSIEVE_RETURN_IF_ERROR(writer->Finish());
+  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t count,
+                            WriteAnswer("query " + map.id, *stream, *writer));
   const QuerySummary& summary = stream->summary();
-  TellMissing(summary);
   PrintResult(common.json,
               {{"map", map.id},
                {"revision", stream->header().revision},
@@ -300,6 +310,27 @@ absl::Status RunQuery(const CommonOptions& common,
                {"header_s", first_s},
                {"query_s", SecondsSince(start)},
                {"output", command.output}});
+  return absl::OkStatus();
+}
+
+absl::Status RunExport(const CommonOptions& common,
+                       const ExportCommand& command) {
+  const Clock::time_point start = Clock::now();
+  MapClient client(common.server);
+  // An answer may take long: what cannot be written is refused before.
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::unique_ptr<PointWriter> writer,
+      CreateOccupancyFile(command.output, command.occupancy));
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<QueryStream> stream,
+                            client.Query(command.spec));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const int64_t count,
+      WriteAnswer("export " + command.spec.map_id, *stream, *writer));
+  PrintResult(common.json, {{"map", command.spec.map_id},
+                            {"revision", stream->header().revision},
+                            {"point_count", count},
+                            {"export_s", SecondsSince(start)},
+                            {"output", command.output}});
   return absl::OkStatus();
 }
 

@@ -115,7 +115,8 @@ RULES = {
         CORE_TYPES + ("core/codec", "client/api", "abseil", "eigen"),
         in_cc=("proto", "protobuf", "grpc"), never=LOGGING),
     "client/formats": Rule(
-        CORE_TYPES + ("client/formats", "abseil", "posix"), in_cc=("lzf",),
+        CORE_TYPES + ("client/formats", "abseil", "posix"),
+        in_cc=("lzf", "octomap"),
         never=LOGGING, targets=("core",)),
     "client/lab": Rule(
         ("core", "client/formats", "client/lab", "abseil"),
