@@ -7,6 +7,7 @@ set -euo pipefail
 build=(
   build-essential ca-certificates cmake ninja-build pkg-config ccache python3
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev
+  libprotoc-dev
   libabsl-dev libeigen3-dev liblz4-dev libzstd-dev libxxhash-dev liblzf-dev
   libsqlite3-dev libcli11-dev nlohmann-json3-dev libspdlog-dev libpng-dev
   libfreetype-dev fonts-dejavu-core gnuplot-nox
