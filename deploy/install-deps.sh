@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs the Debian 12 packages that mapsieve needs.
 #   install-deps.sh            to build, test and run it
+#   install-deps.sh --build    to build and run it
 #   install-deps.sh --runtime  to run its programs only
 set -euo pipefail
 
@@ -13,14 +14,21 @@ build=(
   libgtest-dev libgmock-dev libnanoflann-dev
   clang-14 libclang-rt-14-dev
 )
+tests=(libprotoc-dev)
+# Node.js may come from elsewhere, with an npm of its own.
+command -v npm >/dev/null || tests+=(nodejs npm)
 runtime=(
   libgrpc++1.51 libprotobuf32 libabsl20220623 liblz4-1 libzstd1 libxxhash0
   liblzf1 libsqlite3-0 libspdlog1.10 libfmt9 libpng16-16 libfreetype6 liboctomap1.9
   fonts-dejavu-core gnuplot-nox
 )
 
-packages=("${build[@]}")
-[ "${1:-}" = --runtime ] && packages=("${runtime[@]}")
+case "${1:-}" in
+  "") packages=("${build[@]}" "${tests[@]}") ;;
+  --build) packages=("${build[@]}") ;;
+  --runtime) packages=("${runtime[@]}") ;;
+  *) echo "usage: $0 [--build | --runtime]" >&2; exit 2 ;;
+esac
 
 missing=()
 for package in "${packages[@]}"; do
