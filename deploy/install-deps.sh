@@ -10,11 +10,11 @@ build=(
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev
   libabsl-dev libeigen3-dev liblz4-dev libzstd-dev libxxhash-dev liblzf-dev
   libsqlite3-dev libcli11-dev nlohmann-json3-dev libspdlog-dev libpng-dev
-  libfreetype-dev liboctomap-dev octomap-tools fonts-dejavu-core gnuplot-nox
+  libfreetype-dev liboctomap-dev fonts-dejavu-core gnuplot-nox
   libgtest-dev libgmock-dev libnanoflann-dev
   clang-14 libclang-rt-14-dev
 )
-tests=(libprotoc-dev)
+tests=(libprotoc-dev octomap-tools)
 # Node.js may come from elsewhere, with an npm of its own.
 command -v npm >/dev/null || tests+=(nodejs npm)
 runtime=(
