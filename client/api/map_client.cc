@@ -518,6 +518,24 @@ absl::StatusOr<VerifyReport> MapClient::Verify(
   return report;
 }
 
+absl::Status MapClient::WatchMap(
+    const std::string& map_id, int64_t from_revision,
+    const std::function<absl::Status(const RevisionInfo&)>& visit) {
+  v1::WatchMapRequest request;
+  request.set_name(MapName(map_id));
+  request.set_from_revision(from_revision);
+  grpc::ClientContext context;
+  const auto reader = connection_->maps->WatchMap(&context, request);
+  v1::WatchMapResponse response;
+  absl::Status visited;
+  while (visited.ok() && reader->Read(&response)) {
+    visited = visit(FromProto(response.revision()));
+  }
+  if (!visited.ok()) context.TryCancel();
+  const absl::Status finished = ToStatus(reader->Finish());
+  return visited.ok() ? finished : visited;
+}
+
 absl::StatusOr<RepairReport> MapClient::Repair(
     const std::string& map_id, const ProgressCallback& progress) {
   v1::Operation operation;

@@ -66,6 +66,14 @@ class MapClient {
   /// Up to `max_count` revisions, newest first. kNotFound.
   absl::StatusOr<std::vector<RevisionInfo>> ListRevisions(
       const std::string& map_id, int64_t max_count);
+  /// Calls `visit` for each revision of a map, from `from_revision` (0: the
+  /// newest) on, in order, none left out, those to come as they are committed.
+  /// Returns what `visit` returns if that is an error; kNotFound: also once the
+  /// map is deleted; kOutOfRange: the map is more than one revision short of
+  /// `from_revision`; kUnavailable: the server went away.
+  absl::Status WatchMap(
+      const std::string& map_id, int64_t from_revision,
+      const std::function<absl::Status(const RevisionInfo&)>& visit);
   /// Calls `visit` for each tile that differs between two revisions, in Morton
   /// order. kNotFound; kOutOfRange: a revision that the map has not,
   /// or that expired.

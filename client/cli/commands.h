@@ -98,6 +98,16 @@ struct RevisionsCommand {
 absl::Status RunRevisions(const CommonOptions& common,
                           const RevisionsCommand& command);
 
+struct WatchCommand {
+  std::string map;
+  /// Number of the first revision; 0: the newest.
+  int64_t from = 0;
+  /// Ends after so many revisions; 0: never.
+  int64_t count = 0;
+};
+/// Prints a line for each revision as it comes.
+absl::Status RunWatch(const CommonOptions& common, const WatchCommand& command);
+
 struct VerifyCommand {
   std::string map;
   /// Tiles to filter again.

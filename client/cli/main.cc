@@ -180,6 +180,20 @@ void AddRevisionCommands(CLI::App& app, const CommonOptions& common, Run& run) {
   command->callback([=, &common, &run] {
     run = [=, &common] { return RunRevisions(common, *revisions); };
   });
+  auto watch = std::make_shared<WatchCommand>();
+  command = app.add_subcommand(
+      "watch",
+      "Print a line for each new revision of a map, until it is interrupted or "
+      "the map is deleted");
+  command->add_option("MAP", watch->map, "Id of the map")->required();
+  command->add_option("--from", watch->from,
+                      "Number of the first revision, at most one above the "
+                      "newest; default the newest");
+  command->add_option("--count", watch->count,
+                      "End after so many revisions, default never");
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunWatch(common, *watch); };
+  });
 }
 
 void AddVerify(CLI::App& app, const CommonOptions& common, Run& run) {
@@ -470,7 +484,8 @@ int Main(int argc, char** argv) {
   common.server = "127.0.0.1:7070";
   app.add_option("--server", common.server, "HOST:PORT, default 127.0.0.1:7070")
       ->envname("MAPSIEVE_SERVER");
-  app.add_flag("--json", common.json, "Print one JSON document on stdout");
+  app.add_flag("--json", common.json,
+               "Print one JSON document on stdout; watch: one a line");
   app.fallthrough();
   Run run;
   AddCreate(app, common, run);

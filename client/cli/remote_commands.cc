@@ -390,6 +390,31 @@ absl::Status RunRollback(const CommonOptions& common,
   return absl::OkStatus();
 }
 
+absl::Status RunWatch(const CommonOptions& common,
+                      const WatchCommand& command) {
+  MapClient client(common.server);
+  int64_t seen = 0;
+  const absl::Status status = client.WatchMap(
+      command.map, command.from, [&](const RevisionInfo& revision) {
+        const Json json = RevisionJson(revision);
+        if (common.json) {
+          std::printf("%s\n", json.dump().c_str());
+        } else {
+          std::printf("%s revision %lld: %s, %lld raw points, %lld points%s\n",
+                      json["time"].get<std::string>().c_str(),
+                      static_cast<long long>(revision.number),
+                      json["kind"].get<std::string>().c_str(),
+                      static_cast<long long>(revision.raw_point_count),
+                      static_cast<long long>(revision.point_count),
+                      revision.is_expired ? ", expired" : "");
+        }
+        std::fflush(stdout);
+        return ++seen == command.count ? absl::CancelledError()
+                                       : absl::OkStatus();
+      });
+  return command.count > 0 && seen == command.count ? absl::OkStatus() : status;
+}
+
 absl::Status RunRevisions(const CommonOptions& common,
                           const RevisionsCommand& command) {
   MapClient client(common.server);

@@ -21,6 +21,7 @@
 #include "server/engine/repair_map.h"
 #include "server/engine/request_checks.h"
 #include "server/engine/revision_report.h"
+#include "server/engine/revision_watch.h"
 #include "server/engine/verify_map.h"
 #include "storage/file_system.h"
 #include "storage/names.h"
@@ -177,6 +178,7 @@ class LocalEngine final : public Engine {
     if (!force) MAPSIEVE_RETURN_IF_ERROR(CheckIdle(map));
     jobs_->CancelAndForget(map.uid);
     MAPSIEVE_RETURN_IF_ERROR(catalogue().DeleteMap(map_id));
+    watchers_.Notify(map.uid);
     garbage_->Request();
     return absl::OkStatus();
   }
@@ -251,6 +253,13 @@ class LocalEngine final : public Engine {
     return result;
   }
 
+  absl::StatusOr<std::unique_ptr<RevisionCursor>> WatchRevisions(
+      const std::string& map_id, int64_t from_revision,
+      std::function<void()> wake) override {
+    return engine::WatchRevisions(catalogue(), watchers_, map_id, from_revision,
+                                  std::move(wake));
+  }
+
   absl::StatusOr<RevisionComparison> CompareRevisions(
       const std::string& map_id, int64_t base, int64_t target,
       const PageRequest& page) override {
@@ -290,7 +299,7 @@ class LocalEngine final : public Engine {
     MAPSIEVE_RETURN_IF_ERROR(CheckSpace());
     MAPSIEVE_ASSIGN_OR_RETURN(const storage::RevisionRecord record,
                               catalogue().RollBack(map.uid, revision));
-    ExpireSoon();
+    AfterCommit(map.uid);
     return DescribeRevision(catalogue(), map.uid, record);
   }
 
@@ -608,12 +617,12 @@ class LocalEngine final : public Engine {
     }
     // Chunks that no commit refers to.
     if (!result.ok()) garbage_->Request();
-    ExpireSoon();
+    AfterCommit(spec.map_uid);
     return result;
   }
 
-  /// After a commit.
-  void ExpireSoon() {
+  void AfterCommit(const std::string& map_uid) {
+    watchers_.Notify(map_uid);
     if (store_->options().kept_revision_count > 0) garbage_->RequestExpiry();
   }
 
@@ -655,6 +664,7 @@ class LocalEngine final : public Engine {
   const std::unique_ptr<Executor> filter_workers_;
   const std::unique_ptr<Executor> io_workers_;
   std::unique_ptr<storage::Store> store_;
+  RevisionWatchers watchers_;
   std::unique_ptr<GarbageCollector> garbage_;
   std::unique_ptr<JobManager> jobs_;
   std::atomic<bool> is_shut_down_ = false;

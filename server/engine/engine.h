@@ -69,6 +69,18 @@ class UploadWriter {
   virtual absl::StatusOr<int64_t> Commit() = 0;
 };
 
+/// The revisions of a map in order, those to come included. Used by one thread
+/// at a time; destroyed before its Engine.
+class RevisionCursor {
+ public:
+  virtual ~RevisionCursor() = default;
+
+  /// The next revision, an expired one too; nothing while it is not committed.
+  /// kNotFound: the map was deleted, even if revisions of it were not given
+  /// yet.
+  virtual absl::StatusOr<std::optional<RevisionInfo>> Next() = 0;
+};
+
 /// Maps on one machine: everything that the service does, without the network.
 /// All methods are thread-safe and validate what they are given.
 ///
@@ -113,6 +125,15 @@ class Engine {
   /// Newest first.
   virtual absl::StatusOr<Page<RevisionInfo>> ListRevisions(
       const std::string& map_id, const PageRequest& page) = 0;
+  /// The revisions of a map from `from_revision` on, 0: from the newest one.
+  /// `wake` is called after every commit to the map and after its deletion,
+  /// from a thread of the engine, until the cursor is destroyed, which waits
+  /// for a call under way; it must be quick, and call neither the engine nor
+  /// the cursor. kOutOfRange: the map is more than one revision short of
+  /// `from_revision`.
+  virtual absl::StatusOr<std::unique_ptr<RevisionCursor>> WatchRevisions(
+      const std::string& map_id, int64_t from_revision,
+      std::function<void()> wake) = 0;
   /// Tiles that differ between two revisions, a page at a time. kOutOfRange: a
   /// revision that the map has not, or not any more.
   virtual absl::StatusOr<RevisionComparison> CompareRevisions(

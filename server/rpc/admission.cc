@@ -11,12 +11,14 @@ namespace mapsieve::rpc {
 namespace {
 
 constexpr const char* kKindNames[] = {"short calls", "WaitOperation calls",
-                                      "WriteUpload calls", "QueryRegion calls"};
+                                      "WriteUpload calls", "QueryRegion calls",
+                                      "WatchMap calls"};
 
 }  // namespace
 
 Admission::Admission(const AdmissionLimits& limits)
-    : limits_{limits.unary, limits.wait, limits.upload, limits.query} {}
+    : limits_{limits.unary, limits.wait, limits.upload, limits.query,
+              limits.watch} {}
 
 absl::StatusOr<Admission::Ticket> Admission::Admit(CallKind kind) {
   const auto i = static_cast<size_t>(kind);

@@ -13,7 +13,7 @@
 namespace mapsieve::rpc {
 
 /// Calls that are limited separately.
-enum class CallKind { kUnary, kWait, kUpload, kQuery };
+enum class CallKind { kUnary, kWait, kUpload, kQuery, kWatch };
 
 /// Calls of each kind at the same time.
 struct AdmissionLimits {
@@ -25,6 +25,8 @@ struct AdmissionLimits {
   int upload = 64;
   /// Each holds a tile's points and two batches.
   int query = 32;
+  /// WatchMap: holds no thread, and two messages of some hundred bytes.
+  int watch = 1024;
 };
 
 /// Decides whether a call may begin: not when too many of its kind are going
@@ -70,10 +72,10 @@ class Admission {
   void Leave(CallKind kind);
   bool IsIdle() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
-  std::array<int, 4> limits_{};
+  std::array<int, 5> limits_{};
   Mutex mutex_;
   ConditionVariable left_;
-  std::array<int, 4> count_ ABSL_GUARDED_BY(mutex_){};
+  std::array<int, 5> count_ ABSL_GUARDED_BY(mutex_){};
   std::stop_source draining_;
 };
 

@@ -1,6 +1,10 @@
 #include "server/rpc/map_service.h"
 
+#include <functional>
 #include <memory>
+#include <optional>
+#include <stop_token>
+#include <string>
 #include <utility>
 
 #include "core/base/status.h"
@@ -45,6 +49,47 @@ class VerifyReactor final : public StreamReactor<v1::VerifyMapResponse> {
   const v1::VerifyMapRequest& request_;
   std::unique_ptr<engine::VerifyCursor> cursor_;
   bool complete_ = false;
+};
+
+// One call of WatchMap. It waits without a thread: a commit to the map, its
+// deletion or the server's shutdown wakes it.
+class WatchReactor final : public StreamReactor<v1::WatchMapResponse> {
+ public:
+  WatchReactor(CallContext& calls, engine::Engine& engine,
+               const v1::WatchMapRequest& request)
+      : StreamReactor(calls, "WatchMap"),
+        engine_(engine),
+        request_(request),
+        draining_(calls.admission->draining()) {}
+
+ protected:
+  absl::StatusOr<bool> Next(v1::WatchMapResponse& response) override {
+    if (cursor_ == nullptr) {
+      MAPSIEVE_ASSIGN_OR_RETURN(map_id_, ParseMapName("name", request_.name()));
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          cursor_, engine_.WatchRevisions(map_id_, request_.from_revision(),
+                                          [this] { Resume(); }));
+      wake_to_drain_.emplace(draining_, [this] { Resume(); });
+    }
+    if (draining_.stop_requested()) return DrainingError();
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto revision, cursor_->Next());
+    if (revision.has_value()) {
+      *response.mutable_revision() = ToProto(map_id_, *revision);
+    } else {
+      Pause();
+    }
+    return true;
+  }
+
+ private:
+  engine::Engine& engine_;
+  // gRPC keeps it until OnDone.
+  const v1::WatchMapRequest& request_;
+  const std::stop_token draining_;
+  std::string map_id_;
+  // Their ends wait for a Resume under way.
+  std::unique_ptr<engine::RevisionCursor> cursor_;
+  std::optional<std::stop_callback<std::function<void()>>> wake_to_drain_;
 };
 
 }  // namespace
@@ -197,6 +242,14 @@ grpc::ServerWriteReactor<v1::VerifyMapResponse>* MapService::VerifyMap(
     const v1::VerifyMapRequest* request) {
   auto* reactor = new VerifyReactor(calls_, engine_, *request);
   reactor->Start(calls_.admission->Admit(CallKind::kQuery));
+  return reactor;
+}
+
+grpc::ServerWriteReactor<v1::WatchMapResponse>* MapService::WatchMap(
+    grpc::CallbackServerContext* /*context*/,
+    const v1::WatchMapRequest* request) {
+  auto* reactor = new WatchReactor(calls_, engine_, *request);
+  reactor->Start(calls_.admission->Admit(CallKind::kWatch));
   return reactor;
 }
 

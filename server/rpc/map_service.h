@@ -46,6 +46,9 @@ class MapService final : public v1::MapService::CallbackService {
   grpc::ServerWriteReactor<v1::VerifyMapResponse>* VerifyMap(
       grpc::CallbackServerContext* context,
       const v1::VerifyMapRequest* request) override;
+  grpc::ServerWriteReactor<v1::WatchMapResponse>* WatchMap(
+      grpc::CallbackServerContext* context,
+      const v1::WatchMapRequest* request) override;
   grpc::ServerUnaryReactor* RepairMap(grpc::CallbackServerContext* context,
                                       const v1::RepairMapRequest* request,
                                       v1::Operation* response) override;

@@ -98,12 +98,28 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
 
  protected:
   /// Fills the next response and returns true, or returns false after the last
-  /// one. Called on one worker at a time.
+  /// one. If there is none yet it calls Pause and returns true: then it is
+  /// called again after Resume. Called on one worker at a time.
   virtual absl::StatusOr<bool> Next(Response& response) = 0;
 
   /// Stop is requested when the client cancels, disconnects or its deadline
   /// passes.
   std::stop_token stop_token() const { return stop_.get_token(); }
+
+  /// Called by Next alone.
+  void Pause() { paused_ = true; }
+
+  /// There may be a response now: ends a pause that began or begins with the
+  /// call of Next under way. Calls nobody; thread-safe.
+  void Resume() {
+    {
+      MutexLock lock(mutex_);
+      resumed_ = true;
+      if (!idle_ || making_ || end_) return;
+      making_ = true;
+    }
+    calls_.stream_workers->Post([this] { Make(); });
+  }
 
  private:
   // No more responses leave.
@@ -113,6 +129,11 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
   }
 
   void Make() {
+    {
+      MutexLock lock(mutex_);
+      resumed_ = idle_ = false;
+    }
+    paused_ = false;
     auto response = std::make_unique<Response>();
     bool more = false;
     const absl::Status status = Guarded([&]() -> absl::Status {
@@ -123,10 +144,12 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
       MutexLock lock(mutex_);
       making_ = false;
       if (!end_) {
-        if (more) {
-          ready_ = std::move(response);
-        } else {
+        if (!more) {
           end_ = status;
+        } else if (paused_) {
+          idle_ = !resumed_;
+        } else {
+          ready_ = std::move(response);
         }
       }
     }
@@ -147,7 +170,9 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
         send = sent_.get();
         sending_ = true;
       }
-      if (!making_ && ready_ == nullptr && !end_) make = making_ = true;
+      if (!making_ && ready_ == nullptr && !idle_ && !end_) {
+        make = making_ = true;
+      }
       if (!making_ && !sending_ && end_) {
         finished_ = true;
         finish = end_;
@@ -172,6 +197,11 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
   std::unique_ptr<Response> ready_ ABSL_GUARDED_BY(mutex_);
   bool sending_ ABSL_GUARDED_BY(mutex_) = false;
   bool making_ ABSL_GUARDED_BY(mutex_) = false;
+  // Next paused, and nobody resumed since it was called.
+  bool idle_ ABSL_GUARDED_BY(mutex_) = false;
+  bool resumed_ ABSL_GUARDED_BY(mutex_) = false;
+  // Of the call of Next under way.
+  bool paused_ = false;
   bool finished_ ABSL_GUARDED_BY(mutex_) = false;
   // How the call ends once nothing is being made or sent.
   std::optional<absl::Status> end_ ABSL_GUARDED_BY(mutex_);

@@ -187,6 +187,36 @@ class MainPath(unittest.TestCase):
         self.fails("nosuchcommand", status=2)
         self.assertEqual(self.mapsieve("info", "bad"), before)
 
+    def test_watch_prints_a_line_for_each_revision(self):
+        source = self.work / "watched.csv"
+        source.write_text("x,y,z\n1,2,3\n")
+        self.mapsieve("create", "watched")
+        watch = subprocess.Popen(
+            [BIN / "mapsieve", "--server", self.server.address, "--json",
+             "watch", "watched"], stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True)
+        lines = [json.loads(watch.stdout.readline())]
+        self.mapsieve("upload", "watched", source)
+        lines.append(json.loads(watch.stdout.readline()))
+        self.mapsieve("process", "watched")
+        lines.append(json.loads(watch.stdout.readline()))
+        self.assertEqual(lines, [
+            {key: value for key, value in line.items() if key != "map"}
+            for line in reversed(
+                self.mapsieve("revisions", "watched")["revisions"])])
+        again = self.run_command("watch", "watched", "--from", 2, "--count", 1)
+        self.assertEqual(json.loads(again.stdout), lines[1])
+        plain = self.server.run_command("watch", "watched", "--count", "1")
+        self.assertEqual(len(plain.stdout.splitlines()), 1)
+        self.assertIn("revision 3: process, 1 raw points", plain.stdout)
+        self.fails("watch", "watched", "--from", 9, message="newest revision")
+
+        self.mapsieve("delete", "watched")
+        self.assertEqual(watch.wait(timeout=20), 1)
+        self.assertIn("watched", watch.stderr.read())
+        watch.stdout.close()
+        watch.stderr.close()
+
     def test_refused_points_are_counted_by_reason(self):
         source = self.work / "refused.csv"
         source.write_text("x,y,z\n1,2,3\nnan,2,3\n1,inf,3\n1e300,0,0\n")

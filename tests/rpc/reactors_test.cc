@@ -5,8 +5,10 @@
 #include <functional>
 #include <memory>
 #include <new>
+#include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "absl/time/clock.h"
@@ -66,6 +68,8 @@ class MockEngine : public engine::Engine {
   MOCK_METHOD(Or<engine::Operation>, DeleteRegion,
               (Id, const engine::RegionShape&), (override));
   MOCK_METHOD(Or<engine::RevisionInfo>, RollBack, (Id, int64_t), (override));
+  MOCK_METHOD(Or<std::unique_ptr<engine::RevisionCursor>>, WatchRevisions,
+              (Id, int64_t, std::function<void()>), (override));
   MOCK_METHOD(Or<engine::RevisionComparison>, CompareRevisions,
               (Id, int64_t, int64_t, const engine::PageRequest&), (override));
   MOCK_METHOD(Or<engine::Operation>, ProcessMap,
@@ -114,6 +118,32 @@ class CountingCursor : public engine::QueryCursor {
   std::stop_token stop_;
   Counts& counts_;
   engine::QueryHeader header_;
+};
+
+// Gives revisions of 100 kB, and then kNotFound. Before each there is none for
+// once, and the wake-up comes before the caller learns of that.
+class WakingCursor : public engine::RevisionCursor {
+ public:
+  WakingCursor(int revisions, std::function<void()> wake,
+               std::atomic<int>& given)
+      : revisions_(revisions), wake_(std::move(wake)), given_(given) {}
+
+  absl::StatusOr<std::optional<engine::RevisionInfo>> Next() override {
+    waits_ = !waits_;
+    if (waits_) {
+      wake_();
+      return std::nullopt;
+    }
+    if (given_ == revisions_) return absl::NotFoundError("deleted");
+    return engine::RevisionInfo{.number = ++given_,
+                                .upload_id = std::string(100'000, 'u')};
+  }
+
+ private:
+  const int revisions_;
+  const std::function<void()> wake_;
+  std::atomic<int>& given_;
+  bool waits_ = false;
 };
 
 // Services over a mock, and a client of them.
@@ -206,6 +236,53 @@ TEST_F(ReactorTest, AClientThatStopsReadingCostsLittleAndBlocksNobody) {
   context->TryCancel();
   EXPECT_TRUE(Soon([&] { return counts_.alive == 0; }));
   EXPECT_THAT(FromGrpc(stream->Finish()), StatusIs(Code::kCancelled, _));
+}
+
+TEST_F(ReactorTest, AWakeUpBeforeThePauseEndsIt) {
+  std::atomic<int> given = 0;
+  ON_CALL(engine_, WatchRevisions)
+      .WillByDefault([&](const auto&, auto, auto wake) {
+        return std::make_unique<WakingCursor>(50, wake, given);
+      });
+  grpc::ClientContext context;
+  context.set_deadline(std::chrono::system_clock::now() +
+                       std::chrono::seconds(20));
+  v1::WatchMapRequest request;
+  request.set_name("maps/campus");
+  const auto stream = client_->maps->WatchMap(&context, request);
+  v1::WatchMapResponse response;
+  for (int number = 1; number <= 50; ++number) {
+    ASSERT_TRUE(stream->Read(&response));
+    EXPECT_EQ(response.revision().number(), number);
+  }
+  EXPECT_FALSE(stream->Read(&response));
+  EXPECT_THAT(FromGrpc(stream->Finish()), StatusIs(Code::kNotFound, _));
+}
+
+TEST_F(ReactorTest, AWatcherThatDoesNotReadCostsLittle) {
+  std::atomic<int> given = 0;
+  ON_CALL(engine_, WatchRevisions)
+      .WillByDefault([&](const auto&, auto, auto wake) {
+        return std::make_unique<WakingCursor>(1'000'000, wake, given);
+      });
+  const auto context = client_->NewContext();
+  v1::WatchMapRequest request;
+  request.set_name("maps/campus");
+  const auto stream = client_->maps->WatchMap(context.get(), request);
+  v1::WatchMapResponse response;
+  ASSERT_TRUE(stream->Read(&response));
+  // The windows of the connection fill, then no revision is read any more.
+  int before = -1;
+  EXPECT_TRUE(Soon([&] {
+    const bool stands_still = before == given;
+    before = given;
+    absl::SleepFor(absl::Milliseconds(200));
+    return stands_still;
+  }));
+  EXPECT_LT(given, 200);
+  context->TryCancel();
+  EXPECT_THAT(FromGrpc(stream->Finish()), StatusIs(Code::kCancelled, _));
+  EXPECT_TRUE(Soon([&] { return ended_ == 1; }));
 }
 
 TEST_F(ReactorTest, ADeadlineStopsTheEngine) {

@@ -148,6 +148,15 @@ async function main(address, how) {
   assert.deepEqual(revisions.map(({kind}) => kind),
                    ['KIND_PROCESS', 'KIND_UPLOAD', 'KIND_CREATE']);
 
+  const watched = [];
+  const watching = maps.WatchMap({name: map.name, from_revision: '1'});
+  for await (const {revision} of watching) {
+    watched.push(revision.number);
+    if (watched.length === revisions.length) break;
+  }
+  watching.cancel();
+  assert.deepEqual(watched, ['1', '2', '3']);
+
   // Raw, the answer holds the very points; filtered, as many as it says.
   for (const raw of [true, false]) {
     const answer = await collect(queries.QueryRegion({name: map.name, raw}));
