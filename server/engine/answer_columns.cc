@@ -82,9 +82,8 @@ std::string UnknownAttribute(std::string_view name,
     absl::StrAppend(&known, i == 0 ? "" : ", ", attributes[i].name);
   }
   if (attributes.size() > kNamesInMessage) absl::StrAppend(&known, ", …");
-  return absl::StrCat("the map has no attribute ",
-                      storage::Quoted(name), "; it has ",
-                      attributes.empty() ? "none" : known);
+  return absl::StrCat("the map has no attribute ", storage::Quoted(name),
+                      "; it has ", attributes.empty() ? "none" : known);
 }
 
 absl::StatusOr<AnswerColumns> AnswerColumns::Make(
