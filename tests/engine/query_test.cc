@@ -209,12 +209,17 @@ TEST_F(RegionQueryTest, RangesFilterBeforeTheBudgetCounts) {
                   })));
 }
 
-/// MakeScene with attributes of random bits, so that a few points make a block.
-LatticeCloud WideScene(uint32_t seed) {
-  constexpr int kColumns = 150;
+/// Few chunks, since those of wide points are mostly heads.
+constexpr ProcessLimits kWideLimits = {.unit_points = 1 << 20,
+                                       .tile_points = 1 << 26,
+                                       .pending_bytes = 1 << 26,
+                                       .chunk_bytes = 1 << 22};
+
+/// MakeScene with attributes of random bits, so that few points make a block.
+LatticeCloud WideScene(uint32_t seed, int column_count) {
   LatticeCloud cloud = MakeScene(seed);
   uint64_t state = 1;
-  for (int c = 0; c < kColumns; ++c) {
+  for (int c = 0; c < column_count; ++c) {
     core::Column column(
         {"wide-" + std::to_string(c), core::ScalarType::kUint64}, cloud.size());
     for (size_t i = 0; i < cloud.size(); ++i) {
@@ -227,11 +232,11 @@ LatticeCloud WideScene(uint32_t seed) {
 }
 
 TEST(RegionQuery, ABudgetInBytesIsKeptAndUsed) {
-  Workshop workshop(12);
+  Workshop workshop(13);
   MAPSIEVE_ASSERT_OK(
-      workshop.Add(WideScene(14), IngestLimits::Of(int64_t{64} << 20)));
-  MAPSIEVE_ASSERT_OK(workshop.Process(SceneOptions(core::DensityRule::kQuota),
-                                      kProcessLimits));
+      workshop.Add(WideScene(14, 20), IngestLimits::Of(int64_t{64} << 20)));
+  MAPSIEVE_ASSERT_OK(
+      workshop.Process(SceneOptions(core::DensityRule::kQuota), kWideLimits));
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer all, workshop.Query({}));
   ASSERT_GT(all.summary.block_bytes, 2 * kMinBudgetBytes);
   EXPECT_EQ(all.summary.available_label_counts, all.summary.label_counts);
@@ -406,11 +411,11 @@ absl::StatusOr<Batches> ReadBatches(
 }
 
 TEST(RegionQuery, ResumesBehindAnyBatchByteForByteFromItsRevision) {
-  Workshop workshop(12);
+  Workshop workshop(13);
   MAPSIEVE_ASSERT_OK(
-      workshop.Add(WideScene(15), IngestLimits::Of(int64_t{64} << 20)));
-  MAPSIEVE_ASSERT_OK(workshop.Process(SceneOptions(core::DensityRule::kQuota),
-                                      kProcessLimits));
+      workshop.Add(WideScene(15, 100), IngestLimits::Of(int64_t{64} << 20)));
+  MAPSIEVE_ASSERT_OK(
+      workshop.Process(SceneOptions(core::DensityRule::kQuota), kWideLimits));
   MemoryPool memory(1 << 28);
   const auto ask = [&](const QuerySpec& spec) {
     return ReadBatches(OpenQuery(workshop.store(), memory, spec, {}));
@@ -426,10 +431,10 @@ TEST(RegionQuery, ResumesBehindAnyBatchByteForByteFromItsRevision) {
   }
   // Whatever happens to the map after.
   MAPSIEVE_ASSERT_OK(workshop.Add(MakeScene(16), IngestLimits::Of(1 << 25)));
-  MAPSIEVE_ASSERT_OK(workshop.Process(SceneOptions(core::DensityRule::kQuota),
-                                      kProcessLimits));
+  MAPSIEVE_ASSERT_OK(
+      workshop.Process(SceneOptions(core::DensityRule::kQuota), kWideLimits));
   for (const auto& [asked, whole] : answers) {
-    const size_t step = 1 + whole.blocks.size() / 8;
+    const size_t step = 1 + whole.blocks.size() / 4;
     for (size_t i = 0; i < whole.blocks.size(); i += step) {
       SCOPED_TRACE(i);
       QuerySpec spec = asked;
