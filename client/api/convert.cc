@@ -11,15 +11,85 @@ void ToProto(const core::Point3& p, v1::Vector3* v) {
   v->set_z(p.z);
 }
 
+void ToProto(const Quaternion& q, v1::Quaternion* result) {
+  result->set_x(q.x);
+  result->set_y(q.y);
+  result->set_z(q.z);
+  result->set_w(q.w);
+}
+
+template <typename Shape, typename Message>
+void SetHeights(const Shape& shape, Message& message) {
+  if (shape.min_z) message.set_min_z(*shape.min_z);
+  if (shape.max_z) message.set_max_z(*shape.max_z);
+}
+
+// The field `region` of a request, by shape.
+
 template <typename Request>
-void SetRegionOf(Request& request, const Region& region) {
-  if (const auto* box = std::get_if<BoxRegion>(&region)) {
-    ToProto(box->min, request.mutable_box()->mutable_min());
-    ToProto(box->max, request.mutable_box()->mutable_max());
-  } else if (const auto* sphere = std::get_if<SphereRegion>(&region)) {
-    ToProto(sphere->center, request.mutable_sphere()->mutable_center());
-    request.mutable_sphere()->set_radius(sphere->radius);
+void SetShape(std::monostate /*everywhere*/, Request& /*request*/) {}
+
+template <typename Request>
+void SetShape(const BoxRegion& box, Request& request) {
+  ToProto(box.min, request.mutable_box()->mutable_min());
+  ToProto(box.max, request.mutable_box()->mutable_max());
+}
+
+template <typename Request>
+void SetShape(const SphereRegion& sphere, Request& request) {
+  ToProto(sphere.center, request.mutable_sphere()->mutable_center());
+  request.mutable_sphere()->set_radius(sphere.radius);
+}
+
+void SetShape(const OrientedBoxRegion& box, v1::QueryRegionRequest& request) {
+  v1::OrientedBox& result = *request.mutable_oriented_box();
+  ToProto(box.center, result.mutable_center());
+  ToProto(box.orientation, result.mutable_orientation());
+  ToProto(box.half_size, result.mutable_half_size());
+}
+
+void SetShape(const CylinderRegion& cylinder, v1::QueryRegionRequest& request) {
+  v1::VerticalCylinder& result = *request.mutable_cylinder();
+  result.set_center_x(cylinder.center_x);
+  result.set_center_y(cylinder.center_y);
+  result.set_radius(cylinder.radius);
+  SetHeights(cylinder, result);
+}
+
+void SetShape(const PolygonRegion& polygon, v1::QueryRegionRequest& request) {
+  v1::PolygonPrism& result = *request.mutable_polygon();
+  for (const PolygonRegion::Vertex& vertex : polygon.vertices) {
+    v1::Vector2* added = result.add_vertices();
+    added->set_x(vertex.x);
+    added->set_y(vertex.y);
   }
+  SetHeights(polygon, result);
+}
+
+void SetShape(const FrustumRegion& frustum, v1::QueryRegionRequest& request) {
+  v1::Frustum& result = *request.mutable_frustum();
+  ToProto(frustum.position, result.mutable_position());
+  ToProto(frustum.orientation, result.mutable_orientation());
+  result.set_half_width(frustum.half_width);
+  result.set_half_height(frustum.half_height);
+  result.set_near(frustum.near);
+  result.set_far(frustum.far);
+}
+
+void SetShape(const CorridorRegion& corridor, v1::QueryRegionRequest& request) {
+  v1::Corridor& result = *request.mutable_corridor();
+  for (const core::Point3& p : corridor.path) ToProto(p, result.add_path());
+  result.set_radius(corridor.radius);
+}
+
+template <typename Shapes, typename Request>
+void SetRegionOf(Request& request, const Shapes& region) {
+  std::visit([&](const auto& shape) { SetShape(shape, request); }, region);
+}
+
+void ToProto(const ValueRange& range, v1::Range* result) {
+  if (range.min) result->set_min(*range.min);
+  if (range.max) result->set_max(*range.max);
 }
 
 RevisionKind FromProto(v1::Revision::Kind kind) {
@@ -263,10 +333,14 @@ QueryHeader FromProto(const v1::QueryHeader& header) {
 }
 
 QuerySummary FromProto(const v1::QuerySummary& summary) {
-  QuerySummary result = {.point_count = summary.point_count(),
-                         .label_counts = FromProto(summary.label_counts()),
-                         .missing_chunk_count = summary.missing_chunk_count(),
-                         .missing_point_count = summary.missing_point_count()};
+  QuerySummary result = {
+      .point_count = summary.point_count(),
+      .label_counts = FromProto(summary.label_counts()),
+      .block_bytes = summary.block_bytes(),
+      .available_point_count = summary.available_point_count(),
+      .available_label_counts = FromProto(summary.available_label_counts()),
+      .missing_chunk_count = summary.missing_chunk_count(),
+      .missing_point_count = summary.missing_point_count()};
   for (const v1::DamagedChunk& chunk : summary.missing_chunks()) {
     result.missing_chunks.push_back(FromProto(chunk));
   }
@@ -306,6 +380,21 @@ v1::QueryRegionRequest ToProto(const QuerySpec& spec) {
   request.set_depth(spec.depth);
   request.set_spacing_m(spec.spacing_m);
   request.set_max_point_count(spec.max_point_count);
+  request.set_max_bytes(spec.max_bytes);
+  if (spec.label_weights.has_value()) {
+    v1::LabelWeights* weights = request.mutable_label_weights();
+    weights->set_junction(spec.label_weights->junction);
+    weights->set_curve(spec.label_weights->curve);
+    weights->set_surface(spec.label_weights->surface);
+  }
+  if (spec.confidence.has_value()) {
+    ToProto(*spec.confidence, request.mutable_confidence());
+  }
+  for (const AttributeRange& range : spec.attribute_ranges) {
+    v1::AttributeRange* added = request.add_attribute_ranges();
+    added->set_name(range.name);
+    ToProto(range.range, added->mutable_range());
+  }
   if (spec.columns.has_value()) {
     v1::ColumnSelection* columns = request.mutable_columns();
     for (const FilterColumn column : spec.columns->filter_columns) {

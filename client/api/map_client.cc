@@ -6,6 +6,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "client/api/convert.h"
 #include "core/base/hash.h"
 #include "core/base/status.h"
@@ -25,6 +27,10 @@ namespace {
 constexpr size_t kPieceBytes = 1 << 20;
 /// Seconds of one WaitOperation: how often progress is seen.
 constexpr int kWaitSeconds = 1;
+/// How often an answer that breaks off is asked for again, and the first pause
+/// before it; each further one is twice as long.
+constexpr int kResumes = 6;
+constexpr absl::Duration kFirstPause = absl::Milliseconds(100);
 constexpr int64_t kRevisionsOfAPage = 1000;
 constexpr int kTilesOfAPage = 1000;
 
@@ -54,11 +60,13 @@ absl::StatusOr<Digest> DigestOf(BlockSource& source) {
 class GrpcQueryStream final : public QueryStream {
  public:
   GrpcQueryStream(v1::QueryService::Stub& stub, const QuerySpec& spec)
-      : reader_(stub.QueryRegion(&context_, ToProto(spec))) {}
+      : stub_(stub), request_(ToProto(spec)) {
+    Open();
+  }
 
   ~GrpcQueryStream() override {
     if (finished_) return;
-    context_.TryCancel();
+    context_->TryCancel();
     reader_->Finish();
   }
 
@@ -78,8 +86,12 @@ class GrpcQueryStream final : public QueryStream {
   absl::StatusOr<core::LatticeCloud> Next() override {
     core::LatticeCloud end{.lattice = core::Lattice(header_.step_nm)};
     if (finished_) return end;
-    v1::QueryRegionResponse response;
-    while (reader_->Read(&response)) {
+    while (true) {
+      v1::QueryRegionResponse response;
+      if (!reader_->Read(&response)) {
+        MAPSIEVE_RETURN_IF_ERROR(Resume(Broken()));
+        continue;
+      }
       if (response.has_summary()) {
         summary_ = FromProto(response.summary());
         finished_ = true;
@@ -95,17 +107,40 @@ class GrpcQueryStream final : public QueryStream {
           core::LatticeCloud cloud,
           core::DecodePoints(TextBytes(response.batch().block())));
       MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(cloud));
+      request_.set_resume_token(response.batch().resume_token());
       if (cloud.size() > 0) return cloud;
     }
-    return Broken();
   }
 
  private:
+  void Open() {
+    reader_.reset();
+    context_ = std::make_unique<grpc::ClientContext>();
+    reader_ = stub_.QueryRegion(context_.get(), request_);
+    finished_ = false;
+  }
+
+  /// The end of a call that gave no summary; an error.
   absl::Status Broken() {
     finished_ = true;
     const absl::Status status = ToStatus(reader_->Finish());
     if (!status.ok()) return status;
     return absl::DataLossError("the answer ended without its summary");
+  }
+
+  /// Goes on behind the last batch after a call that ended with `status`; that
+  /// status if it is not one that a new call can help, the last one if none
+  /// does.
+  absl::Status Resume(absl::Status status) {
+    if (request_.resume_token().empty()) return status;
+    absl::Duration pause = kFirstPause;
+    for (int i = 0; i < kResumes && absl::IsUnavailable(status); ++i) {
+      absl::SleepFor(pause);
+      pause *= 2;
+      Open();
+      status = ReadHeader();
+    }
+    return status;
   }
 
   /// Gives the batch every column of the header, in that order.
@@ -131,7 +166,10 @@ class GrpcQueryStream final : public QueryStream {
     return absl::OkStatus();
   }
 
-  grpc::ClientContext context_;
+  v1::QueryService::Stub& stub_;
+  /// With the token of the last batch.
+  v1::QueryRegionRequest request_;
+  std::unique_ptr<grpc::ClientContext> context_;
   std::unique_ptr<grpc::ClientReader<v1::QueryRegionResponse>> reader_;
   QueryHeader header_;
   QuerySummary summary_;

@@ -24,7 +24,9 @@ class QueryStream {
   virtual ~QueryStream() = default;
   virtual const QueryHeader& header() const = 0;
   /// The next points, on the map's lattice; an empty cloud at the end of a
-  /// complete answer. An answer that breaks off is an error, kDataLoss if the
+  /// complete answer. After a break the answer goes on behind the last batch,
+  /// from the same revision, if the server can be reached again within some
+  /// seconds. Otherwise an answer that breaks off is an error, kDataLoss if the
   /// server sent no summary.
   virtual absl::StatusOr<core::LatticeCloud> Next() = 0;
   /// Set once Next returned an empty cloud.

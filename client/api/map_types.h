@@ -132,6 +132,65 @@ struct SphereRegion {
 /// A part of a map, or nothing.
 using Region = std::variant<std::monostate, BoxRegion, SphereRegion>;
 
+/// A rotation as a unit quaternion, from a shape's own frame to the map's.
+struct Quaternion {
+  double x = 0;
+  double y = 0;
+  double z = 0;
+  double w = 1;
+};
+
+/// Rotated box, closed.
+struct OrientedBoxRegion {
+  core::Point3 center;
+  Quaternion orientation;
+  core::Point3 half_size;
+};
+
+/// Upright cylinder, closed; unset limits of z: none.
+struct CylinderRegion {
+  double center_x = 0;
+  double center_y = 0;
+  double radius = 0;
+  std::optional<double> min_z;
+  std::optional<double> max_z;
+};
+
+/// Upright prism over a simple polygon of 3 to 1000 vertices, min_z <= z <
+/// max_z; its edge is inside on the sides of smaller x and y.
+struct PolygonRegion {
+  struct Vertex {
+    double x = 0;
+    double y = 0;
+  };
+  std::vector<Vertex> vertices;
+  std::optional<double> min_z;
+  std::optional<double> max_z;
+};
+
+/// What a camera (x right, y down, z forward) sees from `near` to `far`,
+/// closed. `half_width` and `half_height` are tangents of half the angles of
+/// view.
+struct FrustumRegion {
+  core::Point3 position;
+  Quaternion orientation;
+  double half_width = 0;
+  double half_height = 0;
+  double near = 0;
+  double far = 0;
+};
+
+/// Everything within `radius` of a path of 2 to 1000 points, closed.
+struct CorridorRegion {
+  std::vector<core::Point3> path;
+  double radius = 0;
+};
+
+/// What a query may ask for: a part of a map, or all of it.
+using QueryRegion =
+    std::variant<std::monostate, BoxRegion, SphereRegion, OrientedBoxRegion,
+                 CylinderRegion, PolygonRegion, FrustumRegion, CorridorRegion>;
+
 /// What deleting a region did.
 struct DeleteReport {
   /// The revision without the points; the newest one if there were none.
@@ -265,6 +324,8 @@ enum class FilterColumn {
   kNormal = 3,
   kTangent = 4,
   kEigenvalues = 5,
+  kSaliencies = 6,
+  kCovariance = 7,
 };
 
 struct ColumnSelection {
@@ -273,15 +334,38 @@ struct ColumnSelection {
   bool all_attributes = false;
 };
 
+/// A closed range; points without a value are in none.
+struct ValueRange {
+  std::optional<double> min;
+  std::optional<double> max;
+};
+
+/// Points whose attribute `name` is in `range`.
+struct AttributeRange {
+  std::string name;
+  ValueRange range;
+};
+
+/// Shares of a budget by label, in proportion; each above 0.
+struct LabelWeights {
+  double junction = 1;
+  double curve = 1;
+  double surface = 1;
+};
+
 /// Points wanted of a map.
 struct QuerySpec {
   std::string map_id;
   /// 0: the newest processed one, or with `raw` the newest one.
   int64_t revision = 0;
   /// Nothing: the whole map.
-  Region region;
+  QueryRegion region;
   /// Empty: all.
   std::vector<core::Label> labels;
+  /// Nothing: any. Not with `raw`.
+  std::optional<ValueRange> confidence;
+  /// A point must be in all of them; at most 16.
+  std::vector<AttributeRange> attribute_ranges;
   /// A level of detail, 0 (all points) to 10. Not with `raw`.
   int depth = 0;
   /// If above 0, the coarsest level of detail with at most this mean spacing
@@ -289,6 +373,11 @@ struct QuerySpec {
   double spacing_m = 0;
   /// At most this many points, spread evenly over each label; 0: no limit.
   int64_t max_point_count = 0;
+  /// At most this many bytes of point blocks, and at least 95 % of it where
+  /// there are as many points; at least 65536, or 0: no limit.
+  int64_t max_bytes = 0;
+  /// Nothing: shares by the labels' numbers of points. Only with a budget.
+  std::optional<LabelWeights> label_weights;
   /// Nothing: label, confidence, normal and all attributes.
   std::optional<ColumnSelection> columns;
   /// The points as they were uploaded.
@@ -313,6 +402,11 @@ struct QueryHeader {
 struct QuerySummary {
   int64_t point_count = 0;
   core::LabelCounts label_counts{};
+  /// Bytes of the point blocks.
+  int64_t block_bytes = 0;
+  /// What region and filters leave, before a budget; and by label.
+  int64_t available_point_count = 0;
+  core::LabelCounts available_label_counts{};
   /// With allow_partial: chunks left out that may hold points asked for, and
   /// all their points with the labels asked for.
   int64_t missing_chunk_count = 0;

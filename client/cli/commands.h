@@ -7,6 +7,7 @@
 
 #include "absl/status/status.h"
 #include "client/api/map_types.h"
+#include "client/cli/query_arguments.h"
 #include "client/formats/occupancy_file.h"
 #include "client/lab/render.h"
 #include "client/lab/simulate.h"
@@ -51,7 +52,15 @@ absl::Status RunUpload(const CommonOptions& common,
                        const UploadCommand& command);
 
 struct QueryCommand {
+  /// Without what the arguments below say.
   QuerySpec spec;
+  RegionArguments region;
+  /// Least and largest; junction, curve and surface; empty: not given.
+  std::vector<double> confidence;
+  std::vector<double> weights;
+  /// See MakeAttributeRanges and MakeColumnSelection.
+  std::vector<std::string> ranges;
+  std::vector<std::string> columns;
   std::string output;
 };
 /// Chunks that spec.allow_partial leaves out are lines on stderr and no error.

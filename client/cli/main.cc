@@ -81,34 +81,25 @@ void AddUpload(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
-/// The options of a region, and how they are put together.
+/// The options of the region of an edit, one of which is needed.
 class RegionOptions {
  public:
   void AddTo(CLI::App& command) {
-    CLI::Option* box =
-        command.add_option("--box", box_, "x0 y0 z0 x1 y1 z1 in map units")
-            ->expected(6)
-            ->allow_extra_args(false);
-    command.add_option("--sphere", sphere_, "x y z radius in map units")
+    CLI::Option_group* group = command.add_option_group("Region");
+    group->require_option(1);
+    group->add_option("--box", box_, "x0 y0 z0 x1 y1 z1 in map units")
+        ->expected(6)
+        ->allow_extra_args(false);
+    group->add_option("--sphere", sphere_, "x y z radius in map units")
         ->expected(4)
-        ->allow_extra_args(false)
-        ->excludes(box);
+        ->allow_extra_args(false);
   }
-  /// For commands that need one of them.
-  void AddRequiredTo(CLI::App& command) {
-    AddTo(*command.add_option_group("Region")->require_option(1));
-  }
-  /// What was given, if anything was.
   Region region() const {
-    if (!box_.empty()) {
-      const std::vector<double>& b = box_;
+    if (const std::vector<double>& b = box_; !b.empty()) {
       return BoxRegion{{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
     }
-    if (!sphere_.empty()) {
-      const std::vector<double>& s = sphere_;
-      return SphereRegion{{s[0], s[1], s[2]}, s[3]};
-    }
-    return {};
+    const std::vector<double>& s = sphere_;
+    return SphereRegion{{s[0], s[1], s[2]}, s[3]};
   }
 
  private:
@@ -123,7 +114,7 @@ void AddDeleteRegion(CLI::App& app, const CommonOptions& common, Run& run) {
       "delete-region",
       "Take the uploaded points of a region out of a map; process it after");
   command->add_option("MAP", options->map, "Id of the map")->required();
-  region->AddRequiredTo(*command);
+  region->AddTo(*command);
   command->callback([=, &common, &run] {
     options->region = region->region();
     run = [=, &common] { return RunDeleteRegion(common, *options); };
@@ -143,7 +134,7 @@ void AddReplaceRegion(CLI::App& app, const CommonOptions& common, Run& run) {
       ->add_option("FILE", options->upload.files,
                    "LAS, PCD, PLY, CSV, XYZ, VTK")
       ->required();
-  region->AddRequiredTo(*command);
+  region->AddTo(*command);
   command->add_flag("--process", options->upload.process,
                     "Run the filter after it");
   AddColumnsOption(*command, options->upload.column_names);
@@ -242,28 +233,80 @@ void AddProcess(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+/// The shapes of a query, of which one may be given.
+void AddQueryRegion(CLI::App& command, RegionArguments& region) {
+  constexpr int kMostNumbers = 3001;
+  CLI::Option_group* shapes = command.add_option_group("Region");
+  shapes->require_option(0, 1);
+  const auto add = [&](const char* name, std::vector<double>& numbers,
+                       int least, int most, const char* help) {
+    return shapes->add_option(name, numbers, help)
+        ->expected(least, most)
+        ->allow_extra_args(false);
+  };
+  add("--box", region.box, 6, 6, "x0 y0 z0 x1 y1 z1 in map units");
+  add("--sphere", region.sphere, 4, 4, "x y z radius in map units");
+  add("--oriented-box", region.oriented_box, 7, 7,
+      "x y z of the centre, length width height, degrees by which the length "
+      "is turned from x to y");
+  add("--cylinder", region.cylinder, 3, 3, "x y radius; upright");
+  add("--polygon", region.polygon, 6, 2000,
+      "x y of each vertex, 3 to 1000 of them; an upright prism");
+  add("--frustum", region.frustum, 10, 10,
+      "What a camera sees: its x y z, x y z that it looks at, vertical angle "
+      "of "
+      "view in degrees, width / height, nearest and farthest distance");
+  add("--corridor", region.corridor, 7, kMostNumbers,
+      "radius, then x y z of each point of a path, 2 to 1000 of them");
+  command
+      .add_option("--z-range", region.z_range,
+                  "Least and largest z, of --cylinder and --polygon")
+      ->expected(2)
+      ->allow_extra_args(false);
+}
+
 void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<QueryCommand>();
-  auto region = std::make_shared<RegionOptions>();
   auto labels = std::make_shared<std::vector<std::string>>();
   CLI::App* command =
       app.add_subcommand("query", "Write the points of a region to a file");
   command->add_option("MAP", options->spec.map_id, "Id of the map")->required();
-  region->AddTo(*command);
+  AddQueryRegion(*command, options->region);
   CLI::Option* label_option =
       command
           ->add_option("--labels", *labels,
                        "Of junction, curve, surface; comma-separated")
           ->delimiter(',')
           ->check(CLI::IsMember({"junction", "curve", "surface"}));
+  CLI::Option* confidence_option =
+      command
+          ->add_option("--confidence", options->confidence,
+                       "Least and largest confidence, 0 to 1")
+          ->expected(2)
+          ->allow_extra_args(false);
+  command
+      ->add_option("--range", options->ranges,
+                   "NAME MIN MAX: only points whose attribute lies between; "
+                   "-inf and inf for no limit; may be given again")
+      ->type_size(3)
+      ->allow_extra_args(false);
   CLI::Option* budget_option = command->add_option(
       "--max-points", options->spec.max_point_count,
       "At most this many points, spread evenly over each label");
   budget_option->check(CLI::PositiveNumber);
+  CLI::Option* bytes_option = command->add_option(
+      "--max-bytes", options->spec.max_bytes,
+      "At most this many bytes of encoded points, spread in the same way; at "
+      "least 65536");
+  bytes_option->check(CLI::PositiveNumber);
   command
-      ->add_flag("--centroids", options->spec.centroids,
-                 "With --max-points: centroids instead of points")
-      ->needs(budget_option);
+      ->add_option("--weights", options->weights,
+                   "Shares of the budget of junction, curve and surface, for "
+                   "instance 1 1 2; default by their numbers of points")
+      ->expected(3)
+      ->allow_extra_args(false);
+  command->add_flag("--centroids", options->spec.centroids,
+                    "Under a budget: centroids instead of points");
   CLI::Option* depth_option = command->add_option(
       "--depth", options->spec.depth,
       "A level of detail: 0 all points, each further one to 10 with balls of "
@@ -276,9 +319,18 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   spacing_option->check(CLI::PositiveNumber)->excludes(depth_option);
   command->add_flag("--raw", options->spec.raw, "The points as uploaded")
       ->excludes(label_option)
+      ->excludes(confidence_option)
       ->excludes(budget_option)
+      ->excludes(bytes_option)
       ->excludes(depth_option)
       ->excludes(spacing_option);
+  command
+      ->add_option("--columns", options->columns,
+                   "Comma-separated: label, confidence, normal, tangent, "
+                   "eigenvalues, saliencies, covariance (for GICP), attributes "
+                   "(all that were uploaded) or names of attributes; default "
+                   "label,confidence,normal,attributes")
+      ->delimiter(',');
   command->add_option("--revision", options->spec.revision,
                       "Default: the newest processed one");
   command->add_flag("--allow-partial", options->spec.allow_partial,
@@ -287,7 +339,15 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   command->add_option("-o,--output", options->output, "LAS, PCD, PLY or CSV")
       ->required();
   command->callback([=, &common, &run] {
-    options->spec.region = region->region();
+    const RegionArguments& region = options->region;
+    if (!region.z_range.empty() && region.cylinder.empty() &&
+        region.polygon.empty()) {
+      throw CLI::RequiresError("--z-range", "--cylinder or --polygon");
+    }
+    if (options->spec.centroids && budget_option->count() == 0 &&
+        bytes_option->count() == 0) {
+      throw CLI::RequiresError("--centroids", "--max-points or --max-bytes");
+    }
     for (const std::string& label : *labels) {
       for (const auto candidate : {core::Label::kJunction, core::Label::kCurve,
                                    core::Label::kSurface}) {

@@ -168,6 +168,22 @@ absl::StatusOr<Json> Process(MapClient& client, const std::string& map,
   return ProcessJson(map, *report, SecondsSince(start));
 }
 
+/// The query that a command's arguments describe.
+absl::StatusOr<QuerySpec> MakeQuerySpec(const QueryCommand& command) {
+  QuerySpec spec = command.spec;
+  MAPSIEVE_ASSIGN_OR_RETURN(spec.region, MakeQueryRegion(command.region));
+  MAPSIEVE_ASSIGN_OR_RETURN(spec.attribute_ranges,
+                            MakeAttributeRanges(command.ranges));
+  spec.columns = MakeColumnSelection(command.columns);
+  if (const auto& c = command.confidence; !c.empty()) {
+    spec.confidence = ValueRange{c[0], c[1]};
+  }
+  if (const auto& w = command.weights; !w.empty()) {
+    spec.label_weights = LabelWeights{w[0], w[1], w[2]};
+  }
+  return spec;
+}
+
 /// A line for each chunk that a partial answer leaves out.
 void TellMissing(const QuerySummary& summary) {
   for (const DamagedChunk& chunk : summary.missing_chunks) {
@@ -286,11 +302,11 @@ absl::StatusOr<int64_t> WriteAnswer(const std::string& title,
 absl::Status RunQuery(const CommonOptions& common,
                       const QueryCommand& command) {
   const Clock::time_point start = Clock::now();
+  MAPSIEVE_ASSIGN_OR_RETURN(const QuerySpec spec, MakeQuerySpec(command));
   MapClient client(common.server);
-  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map,
-                            client.GetMap(command.spec.map_id));
+  MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(spec.map_id));
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<QueryStream> stream,
-                            client.Query(command.spec));
+                            client.Query(spec));
   const double first_s = SecondsSince(start);
   MAPSIEVE_ASSIGN_OR_RETURN(
       const std::unique_ptr<PointWriter> writer,
@@ -305,6 +321,10 @@ absl::Status RunQuery(const CommonOptions& common,
                {"revision", stream->header().revision},
                {"point_count", count},
                {"label_counts", LabelCountsJson(summary.label_counts)},
+               {"block_bytes", summary.block_bytes},
+               {"available_point_count", summary.available_point_count},
+               {"available_label_counts",
+                LabelCountsJson(summary.available_label_counts)},
                {"missing_chunk_count", summary.missing_chunk_count},
                {"missing_point_count", summary.missing_point_count},
                {"header_s", first_s},

@@ -11,6 +11,9 @@
 namespace mapsieve::core {
 namespace {
 
+/// Some milliseconds.
+constexpr int64_t kStepsBetweenStops = 4096;
+
 /// A cell, as the range of one label's points that it holds.
 struct Cell {
   uint32_t begin;
@@ -52,6 +55,51 @@ std::array<int64_t, kLabelCount> ShareBudget(const LabelCounts& counts,
   return shares;
 }
 
+/// Shares `budget` out to the labels in proportion to `weights`, to none more
+/// than its points.
+std::array<int64_t, kLabelCount> ShareByWeights(const LabelCounts& counts,
+                                                const LabelWeights& weights,
+                                                int64_t budget) {
+  std::array<int64_t, kLabelCount> shares{};
+  LabelWeights open = weights;
+  for (size_t l = 0; l < kLabelCount; ++l) {
+    if (counts[l] == 0) open[l] = 0;
+  }
+  while (true) {
+    const double total = std::accumulate(open.begin(), open.end(), 0.0);
+    if (total == 0 || budget == 0) return shares;
+    const auto share = [&](size_t l) {
+      return static_cast<int64_t>(static_cast<double>(budget) * open[l] /
+                                  total);
+    };
+    // A label that its share fills gives the others what is left.
+    size_t filled = kLabelCount;
+    for (size_t l = 0; l < kLabelCount; ++l) {
+      if (open[l] > 0 && share(l) >= counts[l]) filled = l;
+    }
+    if (filled < kLabelCount) {
+      shares[filled] = counts[filled];
+      open[filled] = 0;
+      budget -= counts[filled];
+      continue;
+    }
+    int64_t left = budget;
+    for (size_t l = 0; l < kLabelCount; ++l) {
+      if (open[l] == 0) continue;
+      shares[l] = share(l);
+      left -= shares[l];
+    }
+    // Rounding left less than a point a label.
+    for (size_t l = 0; l < kLabelCount; ++l) {
+      const int64_t extra =
+          open[l] > 0 ? std::min(left, counts[l] - shares[l]) : 0;
+      shares[l] += extra;
+      left -= extra;
+    }
+    return shares;
+  }
+}
+
 /// The point of `cell` nearest to its centroid, the first of equals.
 void TakeRepresentative(std::span<const LatticePoint> positions,
                         std::span<const uint32_t> rows, const Cell& cell,
@@ -89,7 +137,8 @@ void TakeRepresentative(std::span<const LatticePoint> positions,
 
 absl::StatusOr<BudgetSample> SampleUnderBudget(
     std::span<const LatticePoint> positions, std::span<const Label> labels,
-    int64_t budget) {
+    int64_t budget, const std::optional<LabelWeights>& weights,
+    std::stop_token stop) {
   if (positions.size() != labels.size()) {
     return absl::InvalidArgumentError(
         absl::StrCat(positions.size(), " positions but ", labels.size(),
@@ -101,7 +150,13 @@ absl::StatusOr<BudgetSample> SampleUnderBudget(
   }
   LabelCounts counts{};
   for (const Label label : labels) ++counts[static_cast<size_t>(label)];
-  const auto shares = ShareBudget(counts, budget);
+  const auto shares = weights.has_value()
+                          ? ShareByWeights(counts, *weights, budget)
+                          : ShareBudget(counts, budget);
+  int64_t done = 0;
+  const auto is_stopped = [&] {
+    return ++done % kStepsBetweenStops == 0 && stop.stop_requested();
+  };
 
   BudgetSample sample;
   for (size_t l = 0; l < kLabelCount; ++l) {
@@ -114,6 +169,7 @@ absl::StatusOr<BudgetSample> SampleUnderBudget(
     std::priority_queue<Cell, std::vector<Cell>, SplitsLater> cells;
     cells.push({0, static_cast<uint32_t>(rows.size())});
     while (static_cast<int64_t>(cells.size()) < shares[l]) {
+      if (is_stopped()) return absl::CancelledError("cancelled");
       const Cell cell = cells.top();
       cells.pop();
       const uint32_t split = MortonSplit(
@@ -122,6 +178,7 @@ absl::StatusOr<BudgetSample> SampleUnderBudget(
       cells.push({split, cell.end});
     }
     for (; !cells.empty(); cells.pop()) {
+      if (is_stopped()) return absl::CancelledError("cancelled");
       TakeRepresentative(positions, rows, cells.top(), sample);
     }
   }

@@ -1,8 +1,11 @@
 #ifndef MAPSIEVE_CORE_SAMPLING_SPATIAL_BUDGET_H_
 #define MAPSIEVE_CORE_SAMPLING_SPATIAL_BUDGET_H_
 
+#include <array>
 #include <cstdint>
+#include <optional>
 #include <span>
+#include <stop_token>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -19,19 +22,27 @@ struct BudgetSample {
   std::vector<Point3> centroids;
 };
 
+/// Shares of a budget by label, in proportion. 0 to kMaxLabelWeight.
+using LabelWeights = std::array<double, kLabelCount>;
+inline constexpr double kMaxLabelWeight = 1e6;
+
 /// Spatial SpDF: at most `budget` of the points, spread evenly over each label.
-/// Each label gets its share of the budget (rounded down, the rest to the
-/// largest label); its points are divided into cells of the absolute octree,
-/// the cell with most points halved along its next Morton bit again and again
-/// while the label's budget holds, and of each cell the point nearest to its
-/// centroid stays. So exactly min(budget, N) points come back, and the choice
-/// depends on the set of points alone: chunk and tile borders never show.
-/// `positions`: distinct, in Morton order. `labels`: one a point.
-/// kInvalidArgument: unequal lengths, a negative budget. Cost O(N log N).
+/// Each label gets its share of the budget by its number of points (rounded
+/// down, the rest to the largest label), or by `weights`: then a label with
+/// fewer points than its share gives the others what it cannot fill, and only
+/// labels of weight 0 get nothing. Its points are divided into cells of the
+/// absolute octree, the cell with most points halved along its next Morton bit
+/// again and again while the label's budget holds, and of each cell the point
+/// nearest to its centroid stays. So exactly min(budget, N) points come back,
+/// and the choice depends on the set of points alone: chunk and tile borders
+/// never show. `positions`: distinct, in Morton order. `labels`: one a point.
+/// kInvalidArgument: unequal lengths, a negative budget; kCancelled: `stop`,
+/// looked at every few milliseconds. Cost O(N log N).
 /// Source: Labussière et al. 2020, section on Spatial SpDF.
 absl::StatusOr<BudgetSample> SampleUnderBudget(
     std::span<const LatticePoint> positions, std::span<const Label> labels,
-    int64_t budget);
+    int64_t budget, const std::optional<LabelWeights>& weights = std::nullopt,
+    std::stop_token stop = {});
 
 }  // namespace mapsieve::core
 

@@ -9,6 +9,7 @@
 #include "core/base/status.h"
 #include "core/geometry/octahedral.h"
 #include "core/spdf/cloud_filter.h"
+#include "server/engine/field_error.h"
 #include "server/engine/product_chunk.h"
 #include "storage/names.h"
 
@@ -33,23 +34,57 @@ constexpr int64_t kPositionBytes = 3 * (8 + 1);
 
 constexpr size_t kNamesInMessage = 20;
 
-absl::Status UnknownAttribute(const std::string& name,
-                              std::span<const ColumnSpec> attributes) {
+constexpr std::array<std::string_view, 3> kSaliencyNames = {
+    "saliency_surface", "saliency_curve", "saliency_junction"};
+constexpr std::array<std::string_view, 6> kCovarianceNames = {
+    "cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz"};
+/// Variance across a shape; along it it is 1.
+constexpr float kVarianceAcross = 0.001f;
+
+bool HasFilterColumn(const ColumnSelection& c) {
+  return c.label || c.confidence || c.normal || c.tangent || c.eigenvalues ||
+         c.saliencies || c.covariance;
+}
+
+/// A float32 column by each name.
+template <size_t count>
+std::vector<ColumnSpec> FloatSpecs(
+    const std::array<std::string_view, count>& names) {
+  std::vector<ColumnSpec> specs;
+  for (const std::string_view name : names) {
+    specs.push_back({std::string(name), ScalarType::kFloat32});
+  }
+  return specs;
+}
+
+/// Appends columns of `size` values and returns the number of the first one.
+size_t AppendColumns(const std::vector<ColumnSpec>& specs, size_t size,
+                     std::vector<Column>& answer) {
+  const size_t first = answer.size();
+  for (const ColumnSpec& spec : specs) answer.emplace_back(spec, size);
+  return first;
+}
+
+/// The upper triangle, by rows, of `isotropic` I + `along` v v^T.
+std::array<float, 6> Triangle(float isotropic, float along,
+                              const std::array<float, 3>& v) {
+  const auto& [x, y, z] = v;
+  return {isotropic + along * x * x, along * x * y, along * x * z,
+          isotropic + along * y * y, along * y * z, isotropic + along * z * z};
+}
+
+}  // namespace
+
+std::string UnknownAttribute(std::string_view name,
+                             std::span<const ColumnSpec> attributes) {
   std::string known;
   for (size_t i = 0; i < std::min(attributes.size(), kNamesInMessage); ++i) {
     absl::StrAppend(&known, i == 0 ? "" : ", ", attributes[i].name);
   }
   if (attributes.size() > kNamesInMessage) absl::StrAppend(&known, ", …");
-  return absl::NotFoundError(absl::StrCat("the map has no attribute ",
-                                          storage::Quoted(name), "; it has ",
-                                          attributes.empty() ? "none" : known));
+  return absl::StrCat("the map has no attribute ", storage::Quoted(name),
+                      "; it has ", attributes.empty() ? "none" : known);
 }
-
-bool HasFilterColumn(const ColumnSelection& c) {
-  return c.label || c.confidence || c.normal || c.tangent || c.eigenvalues;
-}
-
-}  // namespace
 
 absl::StatusOr<AnswerColumns> AnswerColumns::Make(
     const QuerySpec& spec, std::span<const ColumnSpec> attributes) {
@@ -59,16 +94,17 @@ absl::StatusOr<AnswerColumns> AnswerColumns::Make(
                                             .normal = !spec.raw,
                                             .all_attributes = true});
   if (spec.raw && HasFilterColumn(selection)) {
-    return absl::InvalidArgumentError(
-        "columns: raw points have no label, confidence, normal, tangent or "
-        "eigenvalues; ask for attributes only, or for processed points");
+    return FieldError(
+        "columns.filter_columns",
+        "raw points have nothing of the filter; ask for attributes only, or "
+        "for processed points");
   }
   std::set<std::string_view> wanted(selection.attributes.begin(),
                                     selection.attributes.end());
   for (const std::string& name : selection.attributes) {
     if (std::none_of(attributes.begin(), attributes.end(),
                      [&](const ColumnSpec& a) { return a.name == name; })) {
-      return UnknownAttribute(name, attributes);
+      return absl::NotFoundError(UnknownAttribute(name, attributes));
     }
   }
   AnswerColumns columns;
@@ -88,30 +124,26 @@ absl::StatusOr<AnswerColumns> AnswerColumns::Make(
   return columns;
 }
 
-void AnswerColumns::Add(std::vector<ColumnSpec> specs, std::string stored_name,
-                        Source source) {
+void AnswerColumns::Add(std::vector<ColumnSpec> specs,
+                        std::vector<std::string> stored_names, Source source) {
   for (ColumnSpec& spec : specs) specs_.push_back(std::move(spec));
-  stored_names_.push_back(std::move(stored_name));
+  for (std::string& name : stored_names) {
+    stored_names_.push_back(std::move(name));
+  }
   sources_.push_back(std::move(source));
 }
 
-void AnswerColumns::AddVector(std::span<const std::string_view> names,
+void AnswerColumns::AddVector(const std::array<std::string_view, 3>& names,
                               std::string_view stored_name) {
-  std::vector<ColumnSpec> specs;
-  for (const std::string_view name : names) {
-    specs.push_back({std::string(name), ScalarType::kFloat32});
-  }
-  Add(specs, std::string(stored_name),
+  const std::vector<ColumnSpec> specs = FloatSpecs(names);
+  Add(specs, {std::string(stored_name)},
       [specs, stored_name](const LatticeCloud& chunk,
                            std::span<const uint32_t> rows,
                            std::vector<Column>& answer) -> absl::Status {
         MAPSIEVE_ASSIGN_OR_RETURN(
             const Column* const codes,
             FindProductColumn(chunk, stored_name, ScalarType::kUint32));
-        const size_t first = answer.size();
-        for (const ColumnSpec& spec : specs) {
-          answer.emplace_back(spec, rows.size());
-        }
+        const size_t first = AppendColumns(specs, rows.size(), answer);
         for (size_t i = 0; i < rows.size(); ++i) {
           const std::array<float, 3> v =
               core::DecodeOctahedral(codes->Get<uint32_t>(rows[i]));
@@ -125,7 +157,7 @@ void AnswerColumns::AddVector(std::span<const std::string_view> names,
 
 void AnswerColumns::AddCopy(const ColumnSpec& spec,
                             const std::string& stored_name) {
-  Add({spec}, stored_name,
+  Add({spec}, {stored_name},
       [spec, stored_name](const LatticeCloud& chunk,
                           std::span<const uint32_t> rows,
                           std::vector<Column>& answer) -> absl::Status {
@@ -138,13 +170,77 @@ void AnswerColumns::AddCopy(const ColumnSpec& spec,
       });
 }
 
+void AnswerColumns::AddSaliencies() {
+  const std::vector<ColumnSpec> specs = FloatSpecs(kSaliencyNames);
+  Add(specs, {kLambdaColumns.begin(), kLambdaColumns.end()},
+      [specs](const LatticeCloud& chunk, std::span<const uint32_t> rows,
+              std::vector<Column>& answer) -> absl::Status {
+        std::array<const Column*, 3> lambda{};
+        for (size_t l = 0; l < lambda.size(); ++l) {
+          MAPSIEVE_ASSIGN_OR_RETURN(lambda[l],
+                                    FindProductColumn(chunk, kLambdaColumns[l],
+                                                      ScalarType::kFloat32));
+        }
+        const size_t first = AppendColumns(specs, rows.size(), answer);
+        for (size_t i = 0; i < rows.size(); ++i) {
+          float smaller = 0;
+          for (size_t l = lambda.size(); l-- > 0;) {
+            const auto value = lambda[l]->Get<float>(rows[i]);
+            answer[first + l].Set(i, value - smaller);
+            smaller = value;
+          }
+        }
+        return absl::OkStatus();
+      });
+}
+
+void AnswerColumns::AddCovariance() {
+  const std::vector<ColumnSpec> specs = FloatSpecs(kCovarianceNames);
+  Add(specs,
+      {std::string(kLabelColumn), std::string(kConfidenceColumn),
+       std::string(kNormalColumn), std::string(kTangentColumn)},
+      [specs](const LatticeCloud& chunk, std::span<const uint32_t> rows,
+              std::vector<Column>& answer) -> absl::Status {
+        MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView labels,
+                                  LabelColumnView::Of(chunk));
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            const Column* const normal,
+            FindProductColumn(chunk, kNormalColumn, ScalarType::kUint32));
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            const Column* const tangent,
+            FindProductColumn(chunk, kTangentColumn, ScalarType::kUint32));
+        const size_t first = AppendColumns(specs, rows.size(), answer);
+        const auto covariance = [&](uint32_t row) -> std::array<float, 6> {
+          switch (labels.label(row)) {
+            case core::Label::kSurface:
+              return Triangle(
+                  1, kVarianceAcross - 1,
+                  core::DecodeOctahedral(normal->Get<uint32_t>(row)));
+            case core::Label::kCurve:
+              return Triangle(
+                  kVarianceAcross, 1 - kVarianceAcross,
+                  core::DecodeOctahedral(tangent->Get<uint32_t>(row)));
+            default:
+              return {1, 0, 0, 1, 0, 1};
+          }
+        };
+        for (size_t i = 0; i < rows.size(); ++i) {
+          const std::array<float, 6> values = covariance(rows[i]);
+          for (size_t c = 0; c < values.size(); ++c) {
+            answer[first + c].Set(i, values[c]);
+          }
+        }
+        return absl::OkStatus();
+      });
+}
+
 void AnswerColumns::AddFilterColumns(const ColumnSelection& selection) {
   if (selection.label) {
     AddCopy({"label", ScalarType::kUint8}, std::string(kLabelColumn));
   }
   if (selection.confidence) {
     const ColumnSpec spec = {"confidence", ScalarType::kFloat32};
-    Add({spec}, std::string(kConfidenceColumn),
+    Add({spec}, {std::string(kConfidenceColumn)},
         [spec](const LatticeCloud& chunk, std::span<const uint32_t> rows,
                std::vector<Column>& answer) -> absl::Status {
           MAPSIEVE_ASSIGN_OR_RETURN(
@@ -166,12 +262,14 @@ void AnswerColumns::AddFilterColumns(const ColumnSelection& selection) {
               std::string(kLambdaColumns[l]));
     }
   }
+  if (selection.saliencies) AddSaliencies();
+  if (selection.covariance) AddCovariance();
 }
 
 void AnswerColumns::AddAttribute(const ColumnSpec& attribute,
                                  std::string name) {
   const ColumnSpec spec = {std::move(name), attribute.type};
-  Add({spec}, attribute.name,
+  Add({spec}, {attribute.name},
       [spec, attribute](const LatticeCloud& chunk,
                         std::span<const uint32_t> rows,
                         std::vector<Column>& answer) -> absl::Status {

@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_SERVER_ENGINE_ANSWER_COLUMNS_H_
 #define MAPSIEVE_SERVER_ENGINE_ANSWER_COLUMNS_H_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -15,6 +16,10 @@
 #include "server/engine/query.h"
 
 namespace mapsieve::engine {
+
+/// A sentence for an attribute that is not among those of a map.
+std::string UnknownAttribute(std::string_view name,
+                             std::span<const core::ColumnSpec> attributes);
 
 /// Columns of an answer and how they come from the columns of chunks.
 class AnswerColumns {
@@ -47,11 +52,13 @@ class AnswerColumns {
                                             std::span<const uint32_t> rows,
                                             std::vector<core::Column>& answer)>;
 
-  void Add(std::vector<core::ColumnSpec> specs, std::string stored_name,
-           Source source);
-  void AddVector(std::span<const std::string_view> names,
+  void Add(std::vector<core::ColumnSpec> specs,
+           std::vector<std::string> stored_names, Source source);
+  void AddVector(const std::array<std::string_view, 3>& names,
                  std::string_view stored_name);
   void AddCopy(const core::ColumnSpec& spec, const std::string& stored_name);
+  void AddSaliencies();
+  void AddCovariance();
   void AddFilterColumns(const ColumnSelection& selection);
   void AddAttribute(const core::ColumnSpec& attribute, std::string name);
 

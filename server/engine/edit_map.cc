@@ -129,7 +129,7 @@ absl::StatusOr<DeleteReport> DeleteStoredRegion(
   if (before.has_value()) return *before;
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Region region,
-      Region::Make(*spec.region, core::Lattice(map.spec.step_nm)));
+      Region::OfEdit(*spec.region, core::Lattice(map.spec.step_nm)));
   ChunkWriter rest(store, ChunkKind::kRaw, limits.chunk_bytes,
                    *context.executor);
   MAPSIEVE_ASSIGN_OR_RETURN(

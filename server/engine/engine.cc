@@ -541,7 +541,7 @@ class LocalEngine final : public Engine {
 
   static absl::Status CheckRegion(const RegionShape& region,
                                   const storage::MapRecord& map) {
-    return Region::Make(region, core::Lattice(map.spec.step_nm)).status();
+    return Region::OfEdit(region, core::Lattice(map.spec.step_nm)).status();
   }
 
   static absl::Status CheckUpload(const UploadSpec& spec) {

@@ -341,7 +341,7 @@ absl::StatusOr<RegionCut> CutFrom(storage::Store& store,
   }
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Region region,
-      Region::Make(shape, core::Lattice(map.spec.step_nm)));
+      Region::OfEdit(shape, core::Lattice(map.spec.step_nm)));
   // The bytes of the upload are the progress.
   ExecutionContext silent = context;
   silent.progress = nullptr;

@@ -3,15 +3,17 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/status/statusor.h"
 #include "core/cloud/column.h"
+#include "core/sampling/spatial_budget.h"
 #include "core/spdf/labels.h"
 #include "server/engine/damaged_chunk.h"
-#include "server/engine/region.h"
+#include "server/engine/shapes.h"
 
 namespace mapsieve::engine {
 
@@ -27,6 +29,14 @@ struct ColumnSelection {
   bool tangent = false;
   /// lambda1, lambda2, lambda3 (float32): eigenvalues of the vote, descending.
   bool eigenvalues = false;
+  /// saliency_surface, saliency_curve, saliency_junction (float32): lambda1 -
+  /// lambda2, lambda2 - lambda3, lambda3.
+  bool saliencies = false;
+  /// cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz (float32): how freely a
+  /// point may slide, for plane-to-plane registration, without a unit. With
+  /// normal n and tangent t: I - 0.999 n n^T on a surface, 0.001 I + 0.999 t
+  /// t^T on a curve, I at a junction.
+  bool covariance = false;
   /// All attributes of the uploaded points, by name. Beside what the filter
   /// says they are named by core::NameBeside: one named as a column of
   /// core::MakeLabeledCloud, or as another one asked for, comes as
@@ -47,6 +57,31 @@ enum class Representative {
   kCentroid,
 };
 
+/// A closed range of numbers; NaN is in none.
+struct Range {
+  double min = -std::numeric_limits<double>::infinity();
+  double max = std::numeric_limits<double>::infinity();
+
+  bool Contains(double value) const { return value >= min && value <= max; }
+
+  friend bool operator==(const Range&, const Range&) = default;
+};
+
+/// Points whose attribute `name` is in `range`: values compared as double, a
+/// missing one is in none.
+struct AttributeRange {
+  std::string name;
+  Range range;
+
+  friend bool operator==(const AttributeRange&,
+                         const AttributeRange&) = default;
+};
+
+inline constexpr size_t kMaxAttributeRanges = 16;
+
+/// Smallest QuerySpec::max_bytes.
+inline constexpr int64_t kMinBudgetBytes = 65536;
+
 /// Largest block of an answer.
 inline constexpr int64_t kMaxBatchBytes = 1'000'000;
 
@@ -56,7 +91,7 @@ struct QuerySpec {
   /// 0: the newest processed revision, or with `raw` the newest.
   int64_t revision = 0;
   /// Nothing: the whole map.
-  std::optional<RegionShape> region;
+  std::optional<QueryShape> region;
   /// Only points with one of these labels (kNone is no choice: such points are
   /// outliers); empty: all. Not with `raw`.
   std::vector<core::Label> labels;
@@ -69,6 +104,17 @@ struct QuerySpec {
   /// At most this many points, by core::SampleUnderBudget over all points
   /// asked for. 0: no limit. Not with `raw`.
   int64_t max_points = 0;
+  /// At most this many bytes of blocks, with points chosen in the same way, so
+  /// many that at least 95 % of it is used where there are as many; 0: no
+  /// limit, else at least kMinBudgetBytes. Not with `raw`.
+  int64_t max_bytes = 0;
+  /// How a budget is shared out to the labels (core::SampleUnderBudget). Each
+  /// that is asked for is above 0 and at most core::kMaxLabelWeight.
+  std::optional<core::LabelWeights> label_weights;
+  /// Nothing: any. Not with `raw`.
+  std::optional<Range> confidence;
+  /// At most kMaxAttributeRanges; a point must be in all of them.
+  std::vector<AttributeRange> attribute_ranges;
   /// Nothing: label, confidence, normal and all attributes, which is what
   /// core::MakeLabeledCloud gives; with `raw`, all attributes. What the filter
   /// says cannot be asked for with `raw`.
@@ -80,6 +126,11 @@ struct QuerySpec {
   /// Damaged and missing chunks are left out and told of in the summary; else
   /// they are kDataLoss.
   bool allow_partial = false;
+  /// Nothing, or what QueryCursor::resume_token gave after a batch of the same
+  /// query: the answer goes on behind that batch, from the same revision.
+  std::string resume_token;
+  /// Tells queries apart: a token fits those of the same map and key.
+  uint64_t resume_key = 0;
 };
 
 /// What the batches of an answer have in common.
@@ -102,6 +153,10 @@ struct QuerySummary {
   int64_t point_count = 0;
   /// point_count by label; all under kNone with `raw`.
   core::LabelCounts label_counts{};
+  /// Bytes of the blocks.
+  int64_t block_bytes = 0;
+  /// By label, what region and filters leave, before a budget.
+  core::LabelCounts available_label_counts{};
   /// Chunks with points that may have been asked for, left out by
   /// allow_partial, and all their points with the labels asked for.
   int64_t missing_chunk_count = 0;
@@ -122,17 +177,23 @@ class QueryCursor {
   /// nothing once all were given. Points come in Morton order of their tiles;
   /// the filter's survivors those of depth 3 and above first, then depth 2, 1
   /// and 0, each part in Morton order throughout. Reads a few chunks of
-  /// storage; the first call under a budget reads all candidates. After an
-  /// error the cursor is of no further use.
-  /// kCancelled; kDataLoss: a chunk is damaged, and not allow_partial (under a
+  /// storage; the first call under a budget reads all candidates, with
+  /// max_bytes several times, and the first call after a resume what was read
+  /// before. After an error the cursor is of no further use.
+  /// kCancelled; kAborted: what can be read changed since the answer that is
+  /// resumed; kDataLoss: a chunk is damaged, and not allow_partial (under a
   /// budget also one that was sound when the points were chosen), or the
   /// catalogue is; kUnavailable: storage; kResourceExhausted: what
   /// the answer needs at once exceeds the memory left for queries (both
   /// figures in the message).
   virtual absl::StatusOr<std::optional<std::vector<std::byte>>> NextBatch() = 0;
 
-  /// Of the batches so far; of the answer once NextBatch gave nothing.
+  /// Of the batches so far, those before a resume included; of the answer once
+  /// NextBatch gave nothing.
   virtual QuerySummary summary() const = 0;
+
+  /// For QuerySpec::resume_token: stands for the batches so far.
+  virtual std::string resume_token() const = 0;
 };
 
 }  // namespace mapsieve::engine

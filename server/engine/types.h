@@ -16,7 +16,7 @@
 #include "core/spdf/labels.h"
 #include "core/spdf/levels.h"
 #include "core/spdf/spdf_options.h"
-#include "server/engine/region.h"
+#include "server/engine/shapes.h"
 
 /// What the engine takes and gives besides queries (region_query.h). Fields
 /// that come from outside are validated by the engine, with the errors that

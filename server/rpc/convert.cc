@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <numeric>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -75,26 +76,157 @@ core::Point3 FromVector(const v1::Vector3& vector) {
   return {vector.x(), vector.y(), vector.z()};
 }
 
-// The region of any request that has a field `region`.
+absl::StatusOr<engine::Box> FromProto(const v1::Box& box) {
+  if (!box.has_min()) return InvalidField("box.min", "missing");
+  if (!box.has_max()) return InvalidField("box.max", "missing");
+  return engine::Box{FromVector(box.min()), FromVector(box.max())};
+}
+
+absl::StatusOr<engine::Sphere> FromProto(const v1::Sphere& sphere) {
+  if (!sphere.has_center()) return InvalidField("sphere.center", "missing");
+  return engine::Sphere{FromVector(sphere.center()), sphere.radius()};
+}
+
+engine::Quaternion FromProto(const v1::Quaternion& q) {
+  return {q.x(), q.y(), q.z(), q.w()};
+}
+
+absl::StatusOr<engine::OrientedBox> FromProto(const v1::OrientedBox& box) {
+  if (!box.has_center()) return InvalidField("oriented_box.center", "missing");
+  if (!box.has_orientation()) {
+    return InvalidField("oriented_box.orientation", "missing");
+  }
+  if (!box.has_half_size()) {
+    return InvalidField("oriented_box.half_size", "missing");
+  }
+  return engine::OrientedBox{FromVector(box.center()),
+                             FromProto(box.orientation()),
+                             FromVector(box.half_size())};
+}
+
+// An optional field of numbers.
+template <typename Message>
+std::optional<double> MinZ(const Message& shape) {
+  return shape.has_min_z() ? std::optional(shape.min_z()) : std::nullopt;
+}
+template <typename Message>
+std::optional<double> MaxZ(const Message& shape) {
+  return shape.has_max_z() ? std::optional(shape.max_z()) : std::nullopt;
+}
+
+engine::VerticalCylinder FromProto(const v1::VerticalCylinder& cylinder) {
+  return {.center_x = cylinder.center_x(),
+          .center_y = cylinder.center_y(),
+          .radius = cylinder.radius(),
+          .min_z = MinZ(cylinder),
+          .max_z = MaxZ(cylinder)};
+}
+
+engine::PolygonPrism FromProto(const v1::PolygonPrism& prism) {
+  engine::PolygonPrism result{.min_z = MinZ(prism), .max_z = MaxZ(prism)};
+  for (const v1::Vector2& v : prism.vertices()) {
+    result.vertices.push_back({v.x(), v.y()});
+  }
+  return result;
+}
+
+absl::StatusOr<engine::Frustum> FromProto(const v1::Frustum& frustum) {
+  if (!frustum.has_position()) {
+    return InvalidField("frustum.position", "missing");
+  }
+  if (!frustum.has_orientation()) {
+    return InvalidField("frustum.orientation", "missing");
+  }
+  return engine::Frustum{.position = FromVector(frustum.position()),
+                         .orientation = FromProto(frustum.orientation()),
+                         .half_width = frustum.half_width(),
+                         .half_height = frustum.half_height(),
+                         .near = frustum.near(),
+                         .far = frustum.far()};
+}
+
+engine::Corridor FromProto(const v1::Corridor& corridor) {
+  engine::Corridor result{.radius = corridor.radius()};
+  for (const v1::Vector3& p : corridor.path()) {
+    result.path.push_back(FromVector(p));
+  }
+  return result;
+}
+
+// The region of any request of an edit.
 template <typename Request>
 absl::StatusOr<std::optional<engine::RegionShape>> RegionOf(
     const Request& request) {
   switch (request.region_case()) {
-    case Request::kBox: {
-      const v1::Box& box = request.box();
-      if (!box.has_min()) return InvalidField("box.min", "missing");
-      if (!box.has_max()) return InvalidField("box.max", "missing");
-      return engine::Box{FromVector(box.min()), FromVector(box.max())};
-    }
-    case Request::kSphere: {
-      const v1::Sphere& sphere = request.sphere();
-      if (!sphere.has_center()) return InvalidField("sphere.center", "missing");
-      return engine::Sphere{FromVector(sphere.center()), sphere.radius()};
-    }
+    case Request::kBox:
+      return FromProto(request.box());
+    case Request::kSphere:
+      return FromProto(request.sphere());
     case Request::REGION_NOT_SET:
       break;
   }
   return std::nullopt;
+}
+
+absl::StatusOr<std::optional<engine::QueryShape>> RegionOf(
+    const v1::QueryRegionRequest& request) {
+  using Request = v1::QueryRegionRequest;
+  switch (request.region_case()) {
+    case Request::kBox:
+      return FromProto(request.box());
+    case Request::kSphere:
+      return FromProto(request.sphere());
+    case Request::kOrientedBox:
+      return FromProto(request.oriented_box());
+    case Request::kCylinder:
+      return FromProto(request.cylinder());
+    case Request::kPolygon:
+      return FromProto(request.polygon());
+    case Request::kFrustum:
+      return FromProto(request.frustum());
+    case Request::kCorridor:
+      return FromProto(request.corridor());
+    case Request::REGION_NOT_SET:
+      break;
+  }
+  return std::nullopt;
+}
+
+engine::Range FromProto(const v1::Range& range) {
+  engine::Range result;
+  if (range.has_min()) result.min = range.min();
+  if (range.has_max()) result.max = range.max();
+  return result;
+}
+
+// The filters and the budget of a query.
+absl::Status SetLimits(const v1::QueryRegionRequest& request,
+                       engine::QuerySpec& spec) {
+  spec.max_points = request.max_point_count();
+  spec.max_bytes = request.max_bytes();
+  if (request.has_label_weights()) {
+    const v1::LabelWeights& weights = request.label_weights();
+    spec.label_weights = {0, weights.junction(), weights.curve(),
+                          weights.surface()};
+  }
+  if (request.has_confidence()) {
+    spec.confidence = FromProto(request.confidence());
+  }
+  for (int i = 0; i < request.attribute_ranges_size(); ++i) {
+    const v1::AttributeRange& range = request.attribute_ranges(i);
+    if (!range.has_range()) {
+      return InvalidField(absl::StrCat("attribute_ranges[", i, "].range"),
+                          "missing");
+    }
+    spec.attribute_ranges.push_back({range.name(), FromProto(range.range())});
+  }
+  return absl::OkStatus();
+}
+
+// Of all that an answer depends on.
+uint64_t ResumeKey(v1::QueryRegionRequest request) {
+  request.clear_resume_token();
+  return Hash64(TextBytes(request.SerializeAsString()));
 }
 
 std::string UploadNameOf(std::string_view map_id,
@@ -135,6 +267,12 @@ absl::StatusOr<engine::ColumnSelection> ToColumnSelection(
         break;
       case v1::FILTER_COLUMN_EIGENVALUES:
         result.eigenvalues = true;
+        break;
+      case v1::FILTER_COLUMN_SALIENCIES:
+        result.saliencies = true;
+        break;
+      case v1::FILTER_COLUMN_COVARIANCE:
+        result.covariance = true;
         break;
       default:
         return InvalidField(
@@ -261,13 +399,15 @@ absl::StatusOr<engine::QuerySpec> ToQuerySpec(
   }
   spec.depth = request.depth();
   spec.spacing_m = request.spacing_m();
-  spec.max_points = request.max_point_count();
+  MAPSIEVE_RETURN_IF_ERROR(SetLimits(request, spec));
   if (request.has_columns()) {
     MAPSIEVE_ASSIGN_OR_RETURN(spec.columns,
                               ToColumnSelection(request.columns()));
   }
   spec.raw = request.raw();
   spec.allow_partial = request.allow_partial();
+  spec.resume_token = request.resume_token();
+  spec.resume_key = ResumeKey(request);
   switch (request.representative()) {
     case v1::REPRESENTATIVE_UNSPECIFIED:
     case v1::REPRESENTATIVE_NEAREST:
@@ -443,6 +583,12 @@ v1::QuerySummary ToProto(const engine::QuerySummary& summary) {
   v1::QuerySummary result;
   result.set_point_count(summary.point_count);
   *result.mutable_label_counts() = ToProto(summary.label_counts);
+  result.set_block_bytes(summary.block_bytes);
+  result.set_available_point_count(
+      std::accumulate(summary.available_label_counts.begin(),
+                      summary.available_label_counts.end(), int64_t{0}));
+  *result.mutable_available_label_counts() =
+      ToProto(summary.available_label_counts);
   result.set_missing_chunk_count(summary.missing_chunk_count);
   result.set_missing_point_count(summary.missing_point_count);
   for (const engine::DamagedChunk& chunk : summary.missing_chunks) {

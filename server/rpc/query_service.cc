@@ -30,6 +30,7 @@ class QueryReactor final : public StreamReactor<v1::QueryRegionResponse> {
     MAPSIEVE_ASSIGN_OR_RETURN(const auto block, cursor_->NextBatch());
     if (block) {
       response.mutable_batch()->set_block(block->data(), block->size());
+      response.mutable_batch()->set_resume_token(cursor_->resume_token());
       return true;
     }
     *response.mutable_summary() = ToProto(cursor_->summary());

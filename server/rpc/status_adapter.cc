@@ -5,6 +5,7 @@
 
 #include "absl/strings/cord.h"
 #include "core/base/status.h"
+#include "server/engine/field_error.h"
 
 namespace mapsieve::rpc {
 namespace {
@@ -15,6 +16,15 @@ constexpr size_t kMaxMessageBytes = 1000;
 // "NOT_FOUND" and the like.
 std::string CodeName(absl::StatusCode code) {
   return absl::StatusCodeToString(code);
+}
+
+constexpr char kInvalidField[] = "INVALID_FIELD";
+
+// `status` with the field that the engine says it is about.
+absl::Status WithField(const absl::Status& status) {
+  const auto field = engine::FieldOf(status);
+  if (!field.has_value()) return status;
+  return WithReason(status, kInvalidField, {{"field", *field}});
 }
 
 // Length of the valid UTF-8 sequence that `text` starts with, 0 if none.
@@ -64,11 +74,12 @@ absl::Status WithReason(
 absl::Status InvalidField(std::string_view field, std::string_view message) {
   return WithReason(absl::InvalidArgumentError(
                         absl::StrCat(ToAbsl(field), ": ", ToAbsl(message))),
-                    "INVALID_FIELD", {{"field", std::string(field)}});
+                    kInvalidField, {{"field", std::string(field)}});
 }
 
 v1::RpcStatus ToRpcStatus(const absl::Status& status) {
-  const absl::Status explained = WithReason(status, CodeName(status.code()));
+  const absl::Status explained =
+      WithReason(WithField(status), CodeName(status.code()));
   v1::RpcStatus result;
   result.set_code(static_cast<int>(explained.code()));
   result.set_message(CleanText(ToStd(explained.message()), kMaxMessageBytes));

@@ -67,6 +67,48 @@ TEST(SampleUnderBudget, KeepsTheSharesOfTheLabels) {
   }
 }
 
+TEST(SampleUnderBudget, WeightsGiveTheSharesThatLabelsCanFill) {
+  const Labeled scene = LabeledScene(20000, 2);
+  LabelCounts counts{};
+  for (const Label label : scene.labels) ++counts[static_cast<size_t>(label)];
+  const auto total = static_cast<int64_t>(scene.labels.size());
+  for (const LabelWeights& weights :
+       {LabelWeights{0, 1, 1, 1}, LabelWeights{0, 1, 10, 100},
+        LabelWeights{0, 1e6, 1e-3, 0.5}, LabelWeights{5, 3, 2, 1}}) {
+    for (const int64_t budget :
+         {int64_t{0}, int64_t{1}, int64_t{2}, int64_t{1000}, total / 2,
+          total - 1, total, total + 9}) {
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+          const BudgetSample sample,
+          SampleUnderBudget(scene.positions, scene.labels, budget, weights));
+      LabelCounts shares{};
+      for (const uint32_t row : sample.rows) {
+        ++shares[static_cast<size_t>(scene.labels[row])];
+      }
+      EXPECT_EQ(static_cast<int64_t>(sample.rows.size()),
+                std::min(budget, total));
+      // No label that could take more has less by weight than another one.
+      for (size_t a = 1; a < kLabelCount; ++a) {
+        for (size_t b = 1; b < kLabelCount; ++b) {
+          if (shares[a] == counts[a]) continue;
+          EXPECT_GE(static_cast<double>(shares[a] + 4) / weights[a],
+                    static_cast<double>(shares[b] - 4) / weights[b])
+              << budget << " " << a << " " << b;
+        }
+      }
+    }
+  }
+}
+
+TEST(SampleUnderBudget, StopsWhenAsked) {
+  const Labeled scene = LabeledScene(20000, 2);
+  std::stop_source stop;
+  stop.request_stop();
+  EXPECT_THAT(SampleUnderBudget(scene.positions, scene.labels, 10'000,
+                                std::nullopt, stop.get_token()),
+              StatusIs(absl::StatusCode::kCancelled, HasSubstr("cancelled")));
+}
+
 TEST(SampleUnderBudget, TakesThePointNearestToTheCentroidOfItsCell) {
   // One label, one cell: the point nearest to the mean of all.
   const std::vector<LatticePoint> positions =

@@ -5,6 +5,7 @@ usage: main_path_test.py BIN_DIR [TEST_DATA]
 """
 
 import csv
+import math
 import json
 import os
 import pathlib
@@ -92,6 +93,67 @@ class MainPath(unittest.TestCase):
         self.assertLessEqual(set(self.rows(spread)), set(after))
         return info
 
+    def check_query_options(self, center):
+        """Each region, filter, budget and column of `query` on the campus."""
+        x, y, z = center
+
+        def ask(*options):
+            path = self.work / "part.csv"
+            result = self.mapsieve("query", "campus", *options, "-o", path)
+            rows = self.rows(path)
+            self.assertEqual(result["point_count"], len(rows))
+            self.assertGreater(len(rows), 0)
+            return result, rows
+
+        def positions(rows):
+            return [[q * STEP for q in point] for point in rows]
+
+        for px, py, pz in positions(ask("--cylinder", x, y, 20, "--z-range",
+                                        z - 5, z + 1)[1]):
+            self.assertLessEqual(math.hypot(px - x, py - y), 20.001)
+            self.assertLessEqual(abs(pz - z + 2), 3.001)
+        # A square as a polygon, as a box that is turned twice, and as a box.
+        square = ask("--box", x - 9, y - 9, z - 50, x + 9, y + 9, z + 50)[1]
+        self.assertEqual(
+            set(ask("--polygon", x - 9, y - 9, x + 9, y - 9, x + 9, y + 9,
+                    x - 9, y + 9, "--z-range", z - 50, z + 50)[1]),
+            set(square))
+        turned = set(ask("--oriented-box", x, y, z, 18, 18, 100, 90)[1])
+        self.assertLess(len(turned ^ set(square)), 5 + len(square) // 100)
+        for px, py, pz in positions(ask("--frustum", x, y, z, x, y + 1, z, 60,
+                                        1.5, 0.5, 40)[1]):
+            self.assertTrue(0.499 <= py - y <= 40.001)
+            self.assertLessEqual(abs(pz - z), 0.5774 * (py - y) + 0.001)
+            self.assertLessEqual(abs(px - x), 0.8661 * (py - y) + 0.001)
+        for px, py, pz in positions(ask("--corridor", 6, x - 20, y, z, x + 20,
+                                        y, z)[1]):
+            self.assertLessEqual(math.hypot(py - y, pz - z), 6.001)
+            self.assertLessEqual(abs(px - x), 26.001)
+
+        result, rows = ask("--columns", "confidence,covariance,intensity",
+                           "--confidence", 0.02, 0.1, "--range", "intensity",
+                           10000, "inf")
+        for (row,) in rows.values():
+            self.assertEqual(set(row), {
+                "confidence", "cov_xx", "cov_xy", "cov_xz", "cov_yy",
+                "cov_yz", "cov_zz", "intensity"})
+            self.assertTrue(0.02 <= float(row["confidence"]) <= 0.1)
+            self.assertGreaterEqual(float(row["intensity"]), 10000)
+        small = ask("--max-bytes", 70000, "--weights", 1, 1, 1)[0]
+        self.assertGreater(small["available_point_count"],
+                           small["point_count"])
+        self.assertTrue(66500 <= small["block_bytes"] <= 70000, small)
+        for options, message in (
+                (("--polygon", 0, 0, 1, 1, 0, 1, 1), "x y for each vertex"),
+                (("--polygon", 0, 0, 2, 2, 2, 0, 0, 2), "must not cross"),
+                (("--frustum", 0, 0, 0, 0, 0, 1, 60, 1, 0, 9), "to the side"),
+                (("--range", "nothing", 0, 1), "nothing"),
+                (("--range", "intensity", "low", 1), "low")):
+            self.fails("query", "campus", *options, "-o",
+                       self.work / "x.csv", message=message)
+        self.fails("query", "campus", "--box", 0, 0, 0, 1, 1, 1, "--cylinder",
+                   0, 0, 1, "-o", self.work / "x.csv", status=2)
+
     def test_simulated_campus(self):
         source = self.work / "campus.las"
         self.mapsieve("simulate", source, "--points", 150000)
@@ -113,6 +175,8 @@ class MainPath(unittest.TestCase):
             self.assertLessEqual(d2, 30.0001 ** 2)
         for (row,) in self.rows(curves).values():
             self.assertIn(row["label"], ("1", "2"))
+
+        self.check_query_options(center)
 
         example = subprocess.run(
             [BIN / "quickstart", self.server.address, "campus",

@@ -34,7 +34,7 @@ constexpr absl::Duration kLong = absl::Minutes(1);
 
 // In MakeScene: cuts tiles, chunks, the wall and the ground.
 const RegionShape kBox = Box{{-3.1, -2.7, -1}, {2.2, 4.4, 0.9}};
-const RegionShape kSphere = Sphere{{1.5, 0.3, 0.2}, 2.75};
+const Sphere kSphere = {{1.5, 0.3, 0.2}, 2.75};
 const RegionShape kNowhere = Box{{100, 100, 100}, {101, 101, 101}};
 
 /// `cloud` without the points in `shape`, tested in plain double.
@@ -98,7 +98,7 @@ TEST(DeleteRegion, OfAllPointsMakesAnEmptyResult) {
 TEST(DeleteRegion, ThenProcessingIsAMapOfTheRest) {
   const LatticeCloud scene = MakeScene(51);
   const core::SpdfOptions options = SceneOptions(DensityRule::kPaper);
-  for (const RegionShape& region : {kBox, kSphere}) {
+  for (const RegionShape& region : {kBox, RegionShape(kSphere)}) {
     Workshop workshop(11, 3);
     for (const LatticeCloud& part : Split(scene, 3)) {
       MAPSIEVE_ASSERT_OK(workshop.Add(part, kLimits));
@@ -481,7 +481,7 @@ TEST(Revisions, SayWhatMadeThem) {
   EXPECT_GT(r[3].stale_tile_count, 0);
   EXPECT_EQ(r[4].kind, RevisionKind::kReplaceRegion);
   EXPECT_EQ(r[4].upload_id, "news");
-  EXPECT_EQ(r[4].region, kSphere);
+  EXPECT_EQ(r[4].region, RegionShape(kSphere));
   EXPECT_EQ(r[4].added_point_count, added);
   EXPECT_EQ(r[4].removed_point_count, rest - replaced);
   EXPECT_EQ(r[4].raw_point_count, replaced + added);

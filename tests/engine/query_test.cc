@@ -1,16 +1,21 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <numeric>
 #include <set>
 #include <stop_token>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/cloud/merge_duplicates.h"
 #include "core/sampling/spatial_budget.h"
 #include "core/spdf/levels.h"
 #include "gtest/gtest.h"
+#include "server/engine/field_error.h"
+#include "server/engine/region.h"
 #include "server/engine/region_query.h"
 #include "tests/engine/engine_testing.h"
 #include "tests/testing/status_matchers.h"
@@ -118,6 +123,349 @@ TEST_F(RegionQueryTest, SphereGivesThePointsInside) {
                       return dx * dx + dy * dy + dz * dz <=
                              sphere.radius * sphere.radius;
                     }));
+  }
+}
+
+TEST_F(RegionQueryTest, EveryShapeGivesThePointsInside) {
+  const core::Lattice& lattice = expected_->lattice;
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer all, workshop_->Query({}));
+  for (const QueryShape& shape :
+       {QueryShape(OrientedBox{{1, 0, 1}, {0, 0, 0.6, 0.8}, {4, 1.5, 2}}),
+        QueryShape(VerticalCylinder{
+            .center_x = -4, .center_y = 4, .radius = 2.5, .min_z = 0.2}),
+        QueryShape(PolygonPrism{
+            .vertices = {{-6, -6}, {5, -5}, {0, 0}, {6, 6}, {-5, 5}},
+           .max_z = 1}),
+        QueryShape(
+            Frustum{{0, 0, 1}, {-0.5, 0.5, -0.5, 0.5}, 0.7, 0.4, 0.5, 7}),
+        QueryShape(Corridor{{{-7, -7, 0}, {0, 0, 1}, {0, 7, 0}}, 1.3})}) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Region region,
+                                  Region::Make(shape, lattice));
+    const LatticeCloud expected = Filter(*expected_, [&](size_t row) {
+      return region.Contains(expected_->positions[row]);
+    });
+    ASSERT_GT(expected.size(), 20U);
+    ASSERT_LT(expected.size(), expected_->size() / 2);
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer,
+                                  workshop_->Query({.region = shape}));
+    ExpectSameCloud(answer.points, expected);
+    // Chunks outside are not looked into.
+    EXPECT_LT(answer.header.candidate_point_count,
+              all.header.candidate_point_count);
+  }
+}
+
+TEST_F(RegionQueryTest, RangesFilterBeforeTheBudgetCounts) {
+  const core::Column& confidence = *expected_->attributes.Find("confidence");
+  const core::Column& intensity = *expected_->attributes.Find("intensity");
+  const core::Column& ring = *expected_->attributes.Find("ring");
+  std::vector<double> sorted;
+  for (size_t row = 0; row < expected_->size(); ++row) {
+    sorted.push_back(confidence.GetAsDouble(row));
+  }
+  std::sort(sorted.begin(), sorted.end());
+  // Ends that points have: they are inside.
+  const Range middle = {sorted[sorted.size() / 4], sorted[sorted.size() / 2]};
+  const Range low = {-std::numeric_limits<double>::infinity(),
+                     intensity.GetAsDouble(0)};
+  // Zero too, which missing values must not pass for.
+  const Range rings = {0, 7};
+  const LatticeCloud expected = Filter(*expected_, [&](size_t row) {
+    return confidence.GetAsDouble(row) >= middle.min &&
+           confidence.GetAsDouble(row) <= middle.max &&
+           intensity.GetAsDouble(row) <= low.max && !ring.IsMissing(row) &&
+           ring.GetAsDouble(row) <= 7;
+  });
+  ASSERT_GT(expected.size(), 20U);
+  ASSERT_LT(expected.size(), expected_->size() / 4);
+  QuerySpec spec = {.confidence = middle,
+                    .attribute_ranges = {{"intensity", low}, {"ring", rings}}};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer, workshop_->Query(spec));
+  ExpectSameCloud(answer.points, expected);
+  // Columns that are not sent filter too.
+  spec.columns = ColumnSelection{};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer bare, workshop_->Query(spec));
+  EXPECT_EQ(bare.points.positions, expected.positions);
+  spec.max_points = 10;
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer some, workshop_->Query(spec));
+  EXPECT_EQ(some.points.size(), 10U);
+  const core::LabelCounts& available = some.summary.available_label_counts;
+  EXPECT_EQ(std::accumulate(available.begin(), available.end(), int64_t{0}),
+            static_cast<int64_t>(expected.size()));
+  for (const LatticePoint& q : some.points.positions) {
+    EXPECT_NE(
+        std::find(expected.positions.begin(), expected.positions.end(), q),
+        expected.positions.end());
+  }
+  // Raw points have attributes too, and "label" is that of the upload.
+  const core::Column& own = *scene_->attributes.Find("label");
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Answer raw,
+      workshop_->Query({.attribute_ranges = {{"label", {1, 2}}}, .raw = true}));
+  ExpectSameCloud(InCanonicalOrder(raw.points),
+                  InCanonicalOrder(Filter(*scene_, [&](size_t row) {
+                    return !own.IsMissing(row) && own.GetAsDouble(row) >= 1 &&
+                           own.GetAsDouble(row) <= 2;
+                  })));
+}
+
+/// Few chunks, since those of wide points are mostly heads.
+constexpr ProcessLimits kWideLimits = {.unit_points = 1 << 20,
+                                       .tile_points = 1 << 26,
+                                       .pending_bytes = 1 << 26,
+                                       .chunk_bytes = 1 << 22};
+
+/// MakeScene with attributes of random bits, so that few points make a block.
+LatticeCloud WideScene(uint32_t seed, int column_count) {
+  LatticeCloud cloud = MakeScene(seed);
+  uint64_t state = 1;
+  for (int c = 0; c < column_count; ++c) {
+    core::Column column(
+        {"wide-" + std::to_string(c), core::ScalarType::kUint64}, cloud.size());
+    for (size_t i = 0; i < cloud.size(); ++i) {
+      state = state * 6364136223846793005 + 1442695040888963407;
+      column.Set(i, state ^ state >> 31);
+    }
+    cloud.attributes.columns().push_back(std::move(column));
+  }
+  return cloud;
+}
+
+TEST(RegionQuery, ABudgetInBytesIsKeptAndUsed) {
+  Workshop workshop(13);
+  MAPSIEVE_ASSERT_OK(
+      workshop.Add(WideScene(14, 20), IngestLimits::Of(int64_t{64} << 20)));
+  MAPSIEVE_ASSERT_OK(
+      workshop.Process(SceneOptions(core::DensityRule::kQuota), kWideLimits));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer all, workshop.Query({}));
+  ASSERT_GT(all.summary.block_bytes, 2 * kMinBudgetBytes);
+  EXPECT_EQ(all.summary.available_label_counts, all.summary.label_counts);
+  for (const int64_t budget :
+       {kMinBudgetBytes, all.summary.block_bytes * 3 / 4,
+        all.summary.block_bytes - 1, 2 * all.summary.block_bytes}) {
+    SCOPED_TRACE(budget);
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer,
+                                  workshop.Query({.max_bytes = budget}));
+    EXPECT_LE(answer.summary.block_bytes, budget);
+    EXPECT_GE(answer.summary.block_bytes,
+              std::min(budget, all.summary.block_bytes) * 95 / 100);
+    EXPECT_EQ(answer.summary.available_label_counts, all.summary.label_counts);
+    EXPECT_EQ(answer.summary.point_count,
+              static_cast<int64_t>(answer.points.size()));
+    // The points are those of a budget of as many.
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const Answer counted,
+        workshop.Query({.max_points = answer.summary.point_count}));
+    ExpectSameCloud(answer.points, counted.points);
+    EXPECT_EQ(counted.summary.block_bytes, answer.summary.block_bytes);
+    // The smaller of both counts.
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const Answer both,
+        workshop.Query({.max_points = 100, .max_bytes = budget}));
+    EXPECT_EQ(both.summary.point_count,
+              std::min(int64_t{100}, answer.summary.point_count));
+  }
+}
+
+TEST_F(RegionQueryTest, WeightsShareABudgetOut) {
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer all, workshop_->Query({}));
+  const core::LabelCounts& counts = all.summary.label_counts;
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Answer even,
+      workshop_->Query(
+          {.max_points = 90, .label_weights = core::LabelWeights{0, 1, 1, 1}}));
+  EXPECT_EQ(even.summary.label_counts, (core::LabelCounts{0, 30, 30, 30}));
+  // What curves cannot fill goes to the others.
+  const int64_t budget = counts[2] + 90;
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Answer full,
+      workshop_->Query({.max_points = budget,
+                        .label_weights = core::LabelWeights{0, 1, 1e6, 2}}));
+  EXPECT_EQ(full.summary.label_counts,
+            (core::LabelCounts{0, 30, counts[2], 60}));
+  // Weights of labels that are not asked for say nothing.
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Answer two,
+      workshop_->Query({.labels = {Label::kCurve, Label::kSurface},
+                        .max_points = 80,
+                        .label_weights = core::LabelWeights{0, 0, 3, 1}}));
+  EXPECT_EQ(two.summary.label_counts, (core::LabelCounts{0, 0, 60, 20}));
+}
+
+TEST_F(RegionQueryTest, CovariancesAndSaliencesAreThoseOfTheirDefinitions) {
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Answer all,
+      workshop_->Query({.columns = ColumnSelection{.label = true,
+                                                   .normal = true,
+                                                   .tangent = true,
+                                                   .eigenvalues = true,
+                                                   .saliencies = true,
+                                                   .covariance = true}}));
+  core::LabelCounts seen{};
+  for (size_t i = 0; i < all.points.size(); ++i) {
+    const auto value = [&](const std::string& name) {
+      return all.points.attributes.Find(name)->GetAsDouble(i);
+    };
+    const auto label = static_cast<Label>(value("label"));
+    ++seen[static_cast<size_t>(label)];
+    const double saliencies[] = {value("saliency_surface"),
+                                 value("saliency_curve"),
+                                 value("saliency_junction")};
+    EXPECT_NEAR(saliencies[0], value("lambda1") - value("lambda2"), 1e-6);
+    EXPECT_NEAR(saliencies[1], value("lambda2") - value("lambda3"), 1e-6);
+    EXPECT_EQ(saliencies[2], value("lambda3"));
+    const size_t largest = static_cast<size_t>(
+        std::max_element(saliencies, saliencies + 3) - saliencies);
+    EXPECT_EQ(static_cast<size_t>(label), 3 - largest);
+
+    const double n[] = {value("nx"), value("ny"), value("nz")};
+    const double t[] = {value("tx"), value("ty"), value("tz")};
+    const char* names[3][3] = {{"cov_xx", "cov_xy", "cov_xz"},
+                               {"cov_xy", "cov_yy", "cov_yz"},
+                               {"cov_xz", "cov_yz", "cov_zz"}};
+    for (size_t r = 0; r < 3; ++r) {
+      for (size_t c = 0; c < 3; ++c) {
+        const double one = r == c ? 1 : 0;
+        const double expected =
+            label == Label::kSurface ? one - 0.999 * n[r] * n[c]
+            : label == Label::kCurve ? 0.001 * one + 0.999 * t[r] * t[c]
+                                     : one;
+        EXPECT_NEAR(value(names[r][c]), expected, 1e-6);
+      }
+    }
+    // Sylvester: all leading minors above 0, and the determinant is known.
+    const double xx = value("cov_xx");
+    const double xy = value("cov_xy");
+    const double xz = value("cov_xz");
+    const double yy = value("cov_yy");
+    const double yz = value("cov_yz");
+    const double zz = value("cov_zz");
+    EXPECT_GT(xx, 0);
+    EXPECT_GT(xx * yy - xy * xy, 0);
+    const double determinant = xx * (yy * zz - yz * yz) -
+                               xy * (xy * zz - yz * xz) +
+                               xz * (xy * yz - yy * xz);
+    const double known = label == Label::kSurface ? 1e-3
+                         : label == Label::kCurve ? 1e-6
+                                                  : 1;
+    EXPECT_NEAR(determinant, known, 1e-6);
+    EXPECT_GT(determinant, 0);
+  }
+  for (const Label label : {Label::kJunction, Label::kCurve, Label::kSurface}) {
+    EXPECT_GT(seen[static_cast<size_t>(label)], 0);
+  }
+}
+
+TEST(RegionQuery, CovariancesOfAPlaneAndALineAreTheirClosedForms) {
+  // Far apart: ground on z = 0, and a wire along y.
+  LatticeCloud cloud;
+  for (int64_t x = -1500; x <= 1500; x += 100) {
+    for (int64_t y = -1500; y <= 1500; y += 100) {
+      cloud.positions.push_back({x, y, 0});
+    }
+  }
+  for (int64_t y = -4000; y <= 4000; y += 20) {
+    cloud.positions.push_back({20'000, y, 5000});
+  }
+  Workshop workshop(15);
+  MAPSIEVE_ASSERT_OK(workshop.Add(cloud, IngestLimits::Of(1 << 25)));
+  MAPSIEVE_ASSERT_OK(workshop.Process(core::SpdfOptions(), kProcessLimits));
+  const auto check = [&](const Box& box, Label label,
+                         const std::array<double, 6>& expected) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const Answer answer,
+        workshop.Query({.region = box,
+                        .labels = {label},
+                        .columns = ColumnSelection{.covariance = true}}));
+    ASSERT_GT(answer.points.size(), 20U);
+    for (size_t i = 0; i < answer.points.size(); ++i) {
+      for (size_t c = 0; c < expected.size(); ++c) {
+        EXPECT_NEAR(answer.points.attributes.columns()[c].GetAsDouble(i),
+                    expected[c], 2e-3);
+      }
+    }
+  };
+  check({{-0.8, -0.8, -1}, {0.8, 0.8, 1}}, Label::kSurface,
+        {1, 0, 0, 1, 0, 0.001});
+  check({{19, -2, 4}, {21, 2, 6}}, Label::kCurve, {0.001, 0, 0, 1, 0, 0.001});
+}
+
+/// The batches of a cursor, with the token after each.
+struct Batches {
+  std::vector<std::vector<std::byte>> blocks;
+  std::vector<std::string> tokens;
+  QuerySummary summary;
+};
+absl::StatusOr<Batches> ReadBatches(
+    absl::StatusOr<std::unique_ptr<QueryCursor>> cursor) {
+  MAPSIEVE_RETURN_IF_ERROR(cursor.status());
+  Batches result;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(auto block, (*cursor)->NextBatch());
+    if (!block.has_value()) break;
+    result.blocks.push_back(*std::move(block));
+    result.tokens.push_back((*cursor)->resume_token());
+  }
+  result.summary = (*cursor)->summary();
+  return result;
+}
+
+TEST(RegionQuery, ResumesBehindAnyBatchByteForByteFromItsRevision) {
+  Workshop workshop(13);
+  MAPSIEVE_ASSERT_OK(
+      workshop.Add(WideScene(15, 100), IngestLimits::Of(int64_t{64} << 20)));
+  MAPSIEVE_ASSERT_OK(
+      workshop.Process(SceneOptions(core::DensityRule::kQuota), kWideLimits));
+  MemoryPool memory(1 << 28);
+  const auto ask = [&](const QuerySpec& spec) {
+    return ReadBatches(OpenQuery(workshop.store(), memory, spec, {}));
+  };
+  std::vector<std::pair<QuerySpec, Batches>> answers;
+  for (const QuerySpec& spec :
+       {QuerySpec{.map_id = "map", .resume_key = 7},
+        QuerySpec{.map_id = "map", .max_points = 1000, .resume_key = 8},
+        QuerySpec{.map_id = "map", .raw = true, .resume_key = 9}}) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(Batches batches, ask(spec));
+    ASSERT_GE(batches.blocks.size(), 2U);
+    answers.emplace_back(spec, std::move(batches));
+  }
+  // Whatever happens to the map after.
+  MAPSIEVE_ASSERT_OK(workshop.Add(MakeScene(16), IngestLimits::Of(1 << 25)));
+  MAPSIEVE_ASSERT_OK(
+      workshop.Process(SceneOptions(core::DensityRule::kQuota), kWideLimits));
+  for (const auto& [asked, whole] : answers) {
+    const size_t step = 1 + whole.blocks.size() / 4;
+    for (size_t i = 0; i < whole.blocks.size(); i += step) {
+      SCOPED_TRACE(i);
+      QuerySpec spec = asked;
+      spec.resume_token = whole.tokens[i];
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Batches rest, ask(spec));
+      EXPECT_EQ(rest.blocks, std::vector(whole.blocks.begin() +
+                                             static_cast<ptrdiff_t>(i) + 1,
+                                         whole.blocks.end()));
+      EXPECT_EQ(rest.tokens, std::vector(whole.tokens.begin() +
+                                             static_cast<ptrdiff_t>(i) + 1,
+                                         whole.tokens.end()));
+      EXPECT_EQ(rest.summary.point_count, whole.summary.point_count);
+      EXPECT_EQ(rest.summary.label_counts, whole.summary.label_counts);
+      EXPECT_EQ(rest.summary.block_bytes, whole.summary.block_bytes);
+    }
+  }
+  const auto refuses = [&](const std::string& token, uint64_t key) {
+    const absl::Status status =
+        ask({.map_id = "map", .resume_token = token, .resume_key = key})
+            .status();
+    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << status;
+    EXPECT_EQ(FieldOf(status), "resume_token");
+  };
+  const std::string token = answers[0].second.tokens[0];
+  refuses(token, 8);
+  refuses("token", 7);
+  refuses(token + "x", 7);
+  for (size_t i = 0; i < token.size(); ++i) {
+    std::string damaged = token;
+    damaged[i] = static_cast<char>(damaged[i] ^ 4);
+    refuses(damaged, 7);
   }
 }
 
@@ -313,33 +661,51 @@ TEST_F(RegionQueryTest, ColumnsAreThoseAskedForInTheirOrder) {
 }
 
 TEST_F(RegionQueryTest, RefusesWhatMakesNoSense) {
-  const auto invalid = absl::StatusCode::kInvalidArgument;
-  EXPECT_THAT(workshop_->Query({.revision = -1}),
-              StatusIs(invalid, HasSubstr("revision is -1")));
-  EXPECT_THAT(workshop_->Query({.max_points = -1}),
-              StatusIs(invalid, HasSubstr("max_points is -1")));
-  EXPECT_THAT(workshop_->Query({.depth = core::kMaxDepth + 1}),
-              StatusIs(invalid, HasSubstr("depth is 11")));
-  EXPECT_THAT(
-      workshop_->Query({.spacing_m = std::numeric_limits<double>::quiet_NaN()}),
-      StatusIs(invalid, HasSubstr("spacing_m is nan")));
-  EXPECT_THAT(workshop_->Query({.depth = 1, .spacing_m = 1}),
-              StatusIs(invalid, HasSubstr("leave one out")));
-  EXPECT_THAT(workshop_->Query({.depth = 1, .raw = true}),
-              StatusIs(invalid, HasSubstr("no levels")));
-  EXPECT_THAT(workshop_->Query({.labels = {Label::kNone}}),
-              StatusIs(invalid, HasSubstr("labels holds 0")));
-  EXPECT_THAT(workshop_->Query({.labels = {static_cast<Label>(200)}}),
-              StatusIs(invalid, HasSubstr("labels holds 200")));
-  EXPECT_THAT(workshop_->Query({.labels = {Label::kCurve}, .raw = true}),
-              StatusIs(invalid, HasSubstr("labels")));
-  EXPECT_THAT(workshop_->Query({.max_points = 5, .raw = true}),
-              StatusIs(invalid, HasSubstr("max_points")));
-  EXPECT_THAT(workshop_->Query(
-                  {.columns = ColumnSelection{.normal = true}, .raw = true}),
-              StatusIs(invalid, HasSubstr("columns")));
-  EXPECT_THAT(workshop_->Query({.region = Sphere{{0, 0, 0}, -1}}),
-              StatusIs(invalid, HasSubstr("sphere.radius")));
+  const auto refuses = [&](const QuerySpec& spec, const char* field,
+                           const char* message) {
+    const absl::Status status = workshop_->Query(spec).status();
+    EXPECT_THAT(status, StatusIs(absl::StatusCode::kInvalidArgument,
+                                 HasSubstr(message)));
+    EXPECT_EQ(FieldOf(status), field) << status;
+  };
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  refuses({.revision = -1}, "revision", "it is -1");
+  refuses({.max_points = -1}, "max_point_count", "it is -1");
+  refuses({.max_bytes = -1}, "max_bytes", "it is -1");
+  refuses({.max_bytes = 65535}, "max_bytes", "at least 65536");
+  refuses({.depth = core::kMaxDepth + 1}, "depth", "it is 11");
+  refuses({.spacing_m = kNan}, "spacing_m", "it is nan");
+  refuses({.depth = 1, .spacing_m = 1}, "spacing_m", "leave one out");
+  refuses({.labels = {Label::kNone}}, "labels[0]", "it is 0");
+  refuses({.labels = {Label::kCurve, static_cast<Label>(200)}}, "labels[1]",
+          "it is 200");
+  refuses({.label_weights = core::LabelWeights{0, 1, 1, 1}}, "label_weights",
+          "no budget");
+  refuses({.max_points = 5, .label_weights = core::LabelWeights{0, 1, 0, 1}},
+          "label_weights.curve", "it is 0");
+  refuses({.max_points = 5, .label_weights = core::LabelWeights{0, 1, 1, kNan}},
+          "label_weights.surface", "it is nan");
+  refuses({.max_points = 5, .label_weights = core::LabelWeights{0, 2e6, 1, 1}},
+          "label_weights.junction", "at most 1e+06");
+  refuses({.confidence = Range{.min = kNan}}, "confidence", "min is nan");
+  refuses({.attribute_ranges = {{"time", {}}, {"ring", {2, 1}}}},
+          "attribute_ranges[1].range", "min is 2 and max is 1");
+  refuses({.attribute_ranges = {{"time", {}}, {"gps", {}}}},
+          "attribute_ranges[1].name",
+          "\"gps\"; it has intensity, label, ring, time");
+  refuses({.attribute_ranges = std::vector<AttributeRange>(17)},
+          "attribute_ranges", "at most 16");
+  refuses({.labels = {Label::kCurve}, .raw = true}, "labels", "none");
+  refuses({.depth = 1, .raw = true}, "depth", "no levels");
+  refuses({.spacing_m = 1, .raw = true}, "spacing_m", "no levels");
+  refuses({.max_points = 5, .raw = true}, "max_point_count", "by label");
+  refuses({.max_bytes = 1 << 20, .raw = true}, "max_bytes", "by label");
+  refuses({.confidence = Range(), .raw = true}, "confidence", "none");
+  refuses({.columns = ColumnSelection{.normal = true}, .raw = true},
+          "columns.filter_columns", "raw points");
+  refuses({.columns = ColumnSelection{.covariance = true}, .raw = true},
+          "columns.filter_columns", "raw points");
+  refuses({.region = Sphere{{0, 0, 0}, -1}}, "sphere.radius", "above 0");
   EXPECT_THAT(
       workshop_->Query({.columns = ColumnSelection{.attributes = {"gps"}}}),
       StatusIs(absl::StatusCode::kNotFound,
@@ -392,7 +758,7 @@ TEST_F(RegionQueryTest, KeepsToTheMemoryOfQueries) {
                                 OpenQuery(workshop_->store(), tight, spec, {}));
   EXPECT_THAT(cursor->NextBatch(),
               StatusIs(absl::StatusCode::kResourceExhausted,
-                       HasSubstr("choosing max_points among")));
+                       HasSubstr("choosing under a budget among")));
 }
 
 TEST(RegionQuery, BatchesKeepTheirLimitHoweverWideThePoints) {

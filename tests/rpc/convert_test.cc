@@ -121,7 +121,7 @@ TEST(ToQuerySpec, TakesEveryField) {
   request.set_representative(v1::REPRESENTATIVE_CENTROID);
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto spec, ToQuerySpec(request));
   EXPECT_EQ(spec.revision, 4);
-  EXPECT_EQ(spec.region, (engine::RegionShape(engine::Sphere{{0, 2, 0}, 3})));
+  EXPECT_EQ(spec.region, (engine::QueryShape(engine::Sphere{{0, 2, 0}, 3})));
   EXPECT_THAT(spec.labels,
               ElementsAre(core::Label::kCurve, core::Label::kJunction));
   EXPECT_EQ(spec.depth, 3);

@@ -112,6 +112,7 @@ class CountingCursor : public engine::QueryCursor {
     return std::vector<std::byte>(engine::kMaxBatchBytes);
   }
   engine::QuerySummary summary() const override { return {}; }
+  std::string resume_token() const override { return "token"; }
 
  private:
   int blocks_;

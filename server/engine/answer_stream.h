@@ -1,0 +1,123 @@
+#ifndef MAPSIEVE_SERVER_ENGINE_ANSWER_STREAM_H_
+#define MAPSIEVE_SERVER_ENGINE_ANSWER_STREAM_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <set>
+#include <stop_token>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/cloud/point_cloud.h"
+#include "core/sampling/spatial_budget.h"
+#include "server/engine/answer_columns.h"
+#include "server/engine/chunk_walk.h"
+#include "server/engine/point_filter.h"
+#include "server/engine/query.h"
+#include "storage/store.h"
+
+namespace mapsieve::engine {
+
+/// Chunks that an answer lacks.
+struct MissingChunks {
+  /// Their numbers.
+  std::set<int64_t> numbers;
+  int64_t point_count = 0;
+  /// The first kMaxListedChunks.
+  std::vector<DamagedChunk> listed;
+
+  int64_t count() const { return static_cast<int64_t>(numbers.size()); }
+};
+
+/// What all passes over the chunks of one answer share; outlives them.
+struct AnswerSource {
+  const storage::ReadSnapshot& snapshot;
+  storage::ChunkKind kind;
+  const PointFilter& filter;
+  const AnswerColumns& columns;
+  Representative representative;
+  bool allows_partial;
+  std::stop_token stop;
+
+  ChunkWalk NewWalk() const {
+    return {snapshot, kind, filter.region(), filter.min_depth()};
+  }
+  /// kCancelled once a stop was requested.
+  absl::Status CheckStop() const;
+
+  /// Of a chunk: its points, and which of them pass the filter.
+  struct Part {
+    core::LatticeCloud points;
+    PointFilter::Passed passed;
+  };
+  /// Reads the columns `names` and those of the filter. Nothing: the chunk is
+  /// damaged, which the answer allows, and was added to `missing`; null: damage
+  /// is kDataLoss.
+  absl::StatusOr<std::optional<Part>> Read(const storage::ChunkRef& chunk,
+                                           std::vector<std::string> names,
+                                           MissingChunks* missing) const;
+};
+
+/// One pass over the chunks of an answer, as blocks. The same source and choice
+/// give the same blocks. Used by one thread.
+class AnswerStream {
+ public:
+  /// `choice`: of the points that pass the filter, in the order of the walk
+  /// without the chunks of `missing`, those that stay; null: all. Everything
+  /// outlives the stream. Without a choice damaged chunks are added to
+  /// `missing`, with one they are kDataLoss.
+  AnswerStream(const AnswerSource& source, const core::BudgetSample* choice,
+               MissingChunks& missing)
+      : source_(source),
+        choice_(choice),
+        missing_(missing),
+        walk_(source.NewWalk()) {
+    pending_.lattice = core::Lattice(source.snapshot.map().spec.step_nm);
+  }
+
+  /// The next block; nothing after the last one. Errors as
+  /// QueryCursor::NextBatch.
+  absl::StatusOr<std::optional<std::vector<std::byte>>> Next();
+
+  /// Passes over what Next would give, and returns whether that is anything.
+  absl::StatusOr<bool> Skip();
+
+  /// Points in the blocks so far, by label and together.
+  const core::LabelCounts& label_counts() const { return label_counts_; }
+  int64_t point_count() const { return point_count_; }
+
+ private:
+  /// The rows of pending_ that make the next block; none after the last one.
+  absl::StatusOr<std::vector<uint32_t>> TakeRows();
+  /// Appends what stays of the next chunk to the pending points.
+  absl::Status LoadChunk();
+  /// Leaves the chosen ones of `passed` and returns where they are in the
+  /// answer.
+  std::vector<core::LatticePoint> KeepChosen(const core::LatticeCloud& points,
+                                             PointFilter::Passed& passed);
+  /// Frees the pending points that were taken.
+  void DropTaken();
+
+  const AnswerSource& source_;
+  const core::BudgetSample* const choice_;
+  MissingChunks& missing_;
+  ChunkWalk walk_;
+  bool is_walked_ = false;
+  /// Points of the answer, those up to taken_ taken.
+  core::LatticeCloud pending_;
+  std::vector<core::Label> pending_labels_;
+  size_t taken_ = 0;
+  /// How far the walk has come in the choice.
+  size_t next_chosen_ = 0;
+  uint64_t candidates_seen_ = 0;
+  core::LabelCounts label_counts_{};
+  int64_t point_count_ = 0;
+};
+
+}  // namespace mapsieve::engine
+
+#endif  // MAPSIEVE_SERVER_ENGINE_ANSWER_STREAM_H_

@@ -1,0 +1,311 @@
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/time/clock.h"
+#include "client/api/map_client.h"
+#include "gtest/gtest.h"
+#include "server/engine/region.h"
+#include "spdlog/sinks/base_sink.h"
+#include "tests/rpc/service_fixture.h"
+#include "tests/rpc/test_client.h"
+#include "tests/testing/status_matchers.h"
+
+namespace mapsieve::rpc {
+namespace {
+
+using ::mapsieve::testing::StatusIs;
+using ::testing::HasSubstr;
+
+using Code = absl::StatusCode;
+
+// Counts the calls of QueryRegion that ended, from the server's log.
+class EndedQueries final : public spdlog::sinks::base_sink<std::mutex> {
+ public:
+  int count() const { return count_; }
+
+ private:
+  void sink_it_(const spdlog::details::log_msg& message) override {
+    const std::string_view text(message.payload.data(), message.payload.size());
+    if (text.find("QueryRegion") != std::string_view::npos) ++count_;
+  }
+  void flush_() override {}
+
+  std::atomic<int> count_ = 0;
+};
+
+class QueryServiceTest : public ServiceTest {
+ protected:
+  void SetUp() override {
+    logger_.set_level(spdlog::level::debug);
+    logger_.sinks().push_back(ended_);
+    StartServer();
+  }
+
+  // A processed map "campus".
+  void MakeCampus(int point_count) {
+    MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
+    MAPSIEVE_ASSERT_OK(client_->Upload("campus", "u", TestScene(point_count)));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto run, client_->Process("campus"));
+    MAPSIEVE_ASSERT_OK(client_->Wait(run.name()));
+  }
+
+  std::shared_ptr<EndedQueries> ended_ = std::make_shared<EndedQueries>();
+};
+
+TEST_F(QueryServiceTest, EveryRegionTravelsFromTheClientToTheEngine) {
+  MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
+  MAPSIEVE_ASSERT_OK(client_->Upload("campus", "u", TestScene(20'000)));
+  client::MapClient client(server_->address().ToString());
+  client::QuerySpec spec = {.map_id = "campus", .raw = true};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto all, client.QueryAll(spec));
+  const client::Quaternion turn = {0, 0, 0.6, 0.8};
+  const std::pair<client::QueryRegion, engine::QueryShape> regions[] = {
+      {client::BoxRegion{{-3, -2, 0}, {3, 2, 1}},
+       engine::Box{{-3, -2, 0}, {3, 2, 1}}},
+      {client::SphereRegion{{1, 0, 0}, 3}, engine::Sphere{{1, 0, 0}, 3}},
+      {client::OrientedBoxRegion{{1, 0, 0}, turn, {4, 1, 2}},
+       engine::OrientedBox{{1, 0, 0}, {0, 0, 0.6, 0.8}, {4, 1, 2}}},
+      {client::CylinderRegion{1, 2, 3, -1, 2},
+       engine::VerticalCylinder{1, 2, 3, -1, 2}},
+      {client::CylinderRegion{.center_x = 1, .radius = 3},
+       engine::VerticalCylinder{.center_x = 1, .radius = 3}},
+      {client::PolygonRegion{{{-3, -3}, {3, -2}, {0, 4}}, -1, 1.5},
+       engine::PolygonPrism{{{-3, -3}, {3, -2}, {0, 4}}, -1, 1.5}},
+      {client::FrustumRegion{
+           {-5, 0, 1}, {-0.5, 0.5, -0.5, 0.5}, 0.6, 0.4, 0.5, 9},
+       engine::Frustum{{-5, 0, 1}, {-0.5, 0.5, -0.5, 0.5}, 0.6, 0.4, 0.5, 9}},
+      {client::CorridorRegion{{{-5, 0, 0}, {0, 0, 0}, {0, 5, 1}}, 1.2},
+       engine::Corridor{{{-5, 0, 0}, {0, 0, 0}, {0, 5, 1}}, 1.2}}};
+  for (const auto& [asked, shape] : regions) {
+    SCOPED_TRACE(shape.index());
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const engine::Region region,
+                                  engine::Region::Make(shape, all.lattice));
+    std::vector<uint32_t> rows;
+    for (uint32_t row = 0; row < all.size(); ++row) {
+      if (region.Contains(all.positions[row])) rows.push_back(row);
+    }
+    ASSERT_GT(rows.size(), 50U);
+    ASSERT_LT(rows.size(), all.size());
+    spec.region = asked;
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto answer, client.QueryAll(spec));
+    EXPECT_TRUE(answer.positions == all.Select(rows).positions);
+  }
+}
+
+TEST_F(QueryServiceTest, FiltersBudgetsAndColumnsTravelFromTheClient) {
+  MakeCampus(20'000);
+  client::MapClient client(server_->address().ToString());
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto all,
+                                client.QueryAll({.map_id = "campus"}));
+  double largest = 0;
+  for (size_t i = 0; i < all.size(); ++i) {
+    largest =
+        std::max(largest, all.attributes.Find("confidence")->GetAsDouble(i));
+  }
+  const double least = 0.2 * largest;
+  const double most = 0.9 * largest;
+  client::QuerySpec spec = {
+      .map_id = "campus",
+      .confidence = client::ValueRange{.min = least, .max = most},
+      .attribute_ranges = {{"intensity", {.max = 30'000}}},
+      .max_point_count = 60,
+      .max_bytes = 1 << 20,
+      .label_weights = client::LabelWeights{1, 1, 4},
+      .columns = client::ColumnSelection{
+          .filter_columns = {client::FilterColumn::kLabel,
+                             client::FilterColumn::kConfidence,
+                             client::FilterColumn::kSaliencies,
+                             client::FilterColumn::kCovariance},
+          .all_attributes = true}};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto stream, client.Query(spec));
+  int64_t count = 0;
+  while (true) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto batch, stream->Next());
+    if (batch.size() == 0) break;
+    for (size_t i = 0; i < batch.size(); ++i) {
+      const auto value = [&](const char* name) {
+        return batch.attributes.Find(name)->GetAsDouble(i);
+      };
+      EXPECT_GE(value("confidence"), least);
+      EXPECT_LE(value("confidence"), most);
+      EXPECT_LE(value("intensity"), 30'000);
+      EXPECT_NEAR(value("confidence"),
+                  std::max({value("saliency_surface"), value("saliency_curve"),
+                            value("saliency_junction")}),
+                  2e-5);
+      EXPECT_GE(value("cov_xx") + value("cov_yy") + value("cov_zz"), 1);
+    }
+    count += static_cast<int64_t>(batch.size());
+  }
+  const client::QuerySummary& summary = stream->summary();
+  EXPECT_EQ(count, 60);
+  EXPECT_EQ(summary.point_count, 60);
+  EXPECT_GT(summary.block_bytes, 60);
+  EXPECT_LE(summary.block_bytes, 1 << 20);
+  EXPECT_GT(summary.available_point_count, 60);
+  int64_t available = 0;
+  for (const int64_t n : summary.available_label_counts) available += n;
+  EXPECT_EQ(available, summary.available_point_count);
+  const auto share = [&](size_t label, int64_t weight) {
+    return std::min(summary.available_label_counts[label], 10 * weight);
+  };
+  EXPECT_GE(summary.label_counts[1], share(1, 1));
+  EXPECT_GE(summary.label_counts[2], share(2, 1));
+  EXPECT_GE(summary.label_counts[3], share(3, 4));
+}
+
+TEST_F(QueryServiceTest, AWrongFieldIsNamedInTheDetails) {
+  MakeCampus(2000);
+  const auto field_of = [&](const v1::QueryRegionRequest& request) {
+    const auto context = client_->NewContext();
+    const auto stream = client_->queries->QueryRegion(context.get(), request);
+    for (v1::QueryRegionResponse response; stream->Read(&response);) {
+    }
+    const grpc::Status status = stream->Finish();
+    EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT)
+        << status.error_message();
+    v1::RpcStatus details;
+    EXPECT_TRUE(details.ParseFromString(status.error_details()));
+    v1::ErrorInfo info;
+    if (details.details_size() == 1) details.details(0).UnpackTo(&info);
+    EXPECT_EQ(info.reason(), "INVALID_FIELD");
+    return info.metadata().at("field");
+  };
+  v1::QueryRegionRequest request = QueryOf("campus");
+  request.mutable_frustum();
+  EXPECT_EQ(field_of(request), "frustum.position");
+  request.mutable_frustum()->mutable_position();
+  EXPECT_EQ(field_of(request), "frustum.orientation");
+  request.mutable_frustum()->mutable_orientation();
+  EXPECT_EQ(field_of(request), "frustum.orientation");
+  request.mutable_oriented_box()->mutable_center();
+  EXPECT_EQ(field_of(request), "oriented_box.orientation");
+  request.mutable_polygon();
+  EXPECT_EQ(field_of(request), "polygon.vertices");
+  request.mutable_corridor()->set_radius(1);
+  EXPECT_EQ(field_of(request), "corridor.path");
+  request.mutable_cylinder();
+  EXPECT_EQ(field_of(request), "cylinder.radius");
+  request = QueryOf("campus");
+  request.add_attribute_ranges();
+  EXPECT_EQ(field_of(request), "attribute_ranges[0].range");
+  request.mutable_attribute_ranges(0)->mutable_range();
+  request.mutable_attribute_ranges(0)->set_name("gps");
+  EXPECT_EQ(field_of(request), "attribute_ranges[0].name");
+  request = QueryOf("campus");
+  request.set_max_bytes(3);
+  EXPECT_EQ(field_of(request), "max_bytes");
+  request = QueryOf("campus");
+  request.set_resume_token("x");
+  EXPECT_EQ(field_of(request), "resume_token");
+}
+
+TEST_F(QueryServiceTest, ATokenFitsItsOwnRequestAlone) {
+  MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
+  MAPSIEVE_ASSERT_OK(client_->Upload("campus", "u", TestScene(20'000)));
+  v1::QueryRegionRequest request = QueryOf("campus");
+  request.set_raw(true);
+  const auto context = client_->NewContext();
+  const auto stream = client_->queries->QueryRegion(context.get(), request);
+  v1::QueryRegionResponse response;
+  ASSERT_TRUE(stream->Read(&response));
+  ASSERT_TRUE(stream->Read(&response));
+  const std::string token = response.batch().resume_token();
+  EXPECT_GT(token.size(), 8U);
+  context->TryCancel();
+  for (v1::QueryRegionResponse rest; stream->Read(&rest);) {
+  }
+  stream->Finish();
+
+  request.set_resume_token(token);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer rest, client_->Query(request));
+  EXPECT_EQ(rest.summary.point_count(), 20'000);
+  EXPECT_LT(rest.cloud.size(), 20'000U);
+  // The revision stays, whatever comes after.
+  const int64_t revision = rest.header.revision();
+  MAPSIEVE_ASSERT_OK(client_->Upload("campus", "v", TestScene(500)));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer later, client_->Query(request));
+  EXPECT_EQ(later.header.revision(), revision);
+  EXPECT_TRUE(later.cloud.positions == rest.cloud.positions);
+
+  request.mutable_sphere()->mutable_center();
+  request.mutable_sphere()->set_radius(1);
+  EXPECT_THAT(client_->Query(request),
+              StatusIs(Code::kInvalidArgument, HasSubstr("another query")));
+  // Another map, of the same name too.
+  MAPSIEVE_ASSERT_OK(client_->CreateMap("other"));
+  MAPSIEVE_ASSERT_OK(client_->Upload("other", "u", TestScene(20'000)));
+  request = QueryOf("other");
+  request.set_raw(true);
+  request.set_resume_token(token);
+  EXPECT_THAT(client_->Query(request),
+              StatusIs(Code::kInvalidArgument, HasSubstr("another query")));
+}
+
+TEST_F(QueryServiceTest, TheClientGoesOnWhenTheServerComesBack) {
+  MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
+  MAPSIEVE_ASSERT_OK(client_->Upload("campus", "u", TestScene(300'000)));
+  client::MapClient client(server_->address().ToString());
+  const client::QuerySpec spec = {.map_id = "campus", .raw = true};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto whole, client.QueryAll(spec));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto stream, client.Query(spec));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(core::LatticeCloud got, stream->Next());
+
+  ServerOptions options = Options();
+  options.listen.port = server_->address().port;
+  server_->Shutdown(absl::ZeroDuration());
+  server_.reset();
+  const int before = ended_->count();
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(server_, Server::Start(options, logger_));
+  while (true) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto batch, stream->Next());
+    if (batch.size() == 0) break;
+    MAPSIEVE_ASSERT_OK(
+        got.attributes.AppendAll(got.size(), batch.attributes, batch.size()));
+    got.positions.insert(got.positions.end(), batch.positions.begin(),
+                         batch.positions.end());
+  }
+  EXPECT_TRUE(got.positions == whole.positions);
+  EXPECT_EQ(got.attributes, whole.attributes);
+  EXPECT_EQ(stream->summary().point_count, 300'000);
+  // The new server gave the rest.
+  EXPECT_EQ(ended_->count(), before + 1);
+}
+
+// The work of the largest query, cancelled at many moments.
+TEST_F(QueryServiceTest, TheServerStopsSoonAfterTheClientLeaves) {
+  MakeCampus(60'000);
+  v1::QueryRegionRequest request = QueryOf("campus");
+  request.set_max_bytes(100'000);
+  absl::Duration longest;
+  for (int i = 0; i < 40; ++i) {
+    const int before = ended_->count();
+    grpc::ClientContext context;
+    const bool by_deadline = i % 2 == 0;
+    const absl::Time end = absl::Now() + absl::Milliseconds(2 * i);
+    if (by_deadline) context.set_deadline(absl::ToChronoTime(end));
+    const auto stream = client_->queries->QueryRegion(&context, request);
+    absl::SleepFor(end - absl::Now());
+    if (!by_deadline) context.TryCancel();
+    while (ended_->count() == before) absl::SleepFor(absl::Microseconds(100));
+    longest = std::max(longest, absl::Now() - end);
+    for (v1::QueryRegionResponse response; stream->Read(&response);) {
+    }
+    stream->Finish();
+  }
+  RecordProperty("longest_ms",
+                 static_cast<int>(absl::ToInt64Milliseconds(longest)));
+  // 50 ms on a machine that does nothing else.
+  EXPECT_LT(longest, absl::Milliseconds(500));
+}
+
+}  // namespace
+}  // namespace mapsieve::rpc
