@@ -332,6 +332,13 @@ QueryHeader FromProto(const v1::QueryHeader& header) {
   return result;
 }
 
+SyncSummary FromProto(const v1::SyncSummary& summary) {
+  return {.revision = summary.revision(),
+          .chunk_count = summary.chunk_count(),
+          .dropped_chunk_ids = {summary.dropped_chunk_ids().begin(),
+                                summary.dropped_chunk_ids().end()}};
+}
+
 QuerySummary FromProto(const v1::QuerySummary& summary) {
   QuerySummary result = {
       .point_count = summary.point_count(),
@@ -409,6 +416,15 @@ v1::QueryRegionRequest ToProto(const QuerySpec& spec) {
   request.set_allow_partial(spec.allow_partial);
   if (spec.centroids) {
     request.set_representative(v1::REPRESENTATIVE_CENTROID);
+  }
+  return request;
+}
+
+v1::SyncRegionRequest ToProto(const SyncSpec& spec) {
+  v1::SyncRegionRequest request;
+  *request.mutable_query() = ToProto(spec.query);
+  for (const std::string& id : spec.held_chunk_ids) {
+    request.add_held_chunk_ids(id);
   }
   return request;
 }

@@ -30,6 +30,8 @@ ProcessReport FromProto(const v1::ProcessMapResponse& response);
 OperationInfo FromProto(const v1::Operation& operation);
 QueryHeader FromProto(const v1::QueryHeader& header);
 QuerySummary FromProto(const v1::QuerySummary& summary);
+core::ColumnSpec FromProto(const v1::ColumnSpec& column);
+SyncSummary FromProto(const v1::SyncSummary& summary);
 
 RevisionInfo FromProto(const v1::Revision& revision);
 TileChange FromProto(const v1::TileChange& change);
@@ -42,6 +44,7 @@ void SetRegion(const Region& region, v1::DeleteRegionRequest& request);
 
 v1::SpdfOptions ToProto(const ProcessOptions& options);
 v1::QueryRegionRequest ToProto(const QuerySpec& spec);
+v1::SyncRegionRequest ToProto(const SyncSpec& spec);
 
 }  // namespace mapsieve::client
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <optional>
 #include <thread>
 #include <utility>
 
@@ -57,6 +58,91 @@ absl::StatusOr<Digest> DigestOf(BlockSource& source) {
   return digest;
 }
 
+/// Gives the points of a block every one of `columns`, in that order.
+absl::Status CompleteColumns(const std::vector<core::ColumnSpec>& columns,
+                             core::LatticeCloud& cloud) {
+  core::ColumnSet complete;
+  for (const core::ColumnSpec& spec : columns) {
+    core::Column* found = cloud.attributes.Find(spec.name);
+    if (found == nullptr) {
+      core::Column missing(spec);
+      missing.AppendMissing(cloud.size());
+      MAPSIEVE_RETURN_IF_ERROR(complete.Add(std::move(missing)));
+      continue;
+    }
+    if (!(found->spec() == spec)) {
+      return absl::DataLossError(
+          absl::StrCat("column \"", spec.name,
+                       "\" of a batch has another type than the header says"));
+    }
+    MAPSIEVE_RETURN_IF_ERROR(complete.Add(std::move(*found)));
+  }
+  cloud.attributes = std::move(complete);
+  return absl::OkStatus();
+}
+
+/// Puts the parts of a synchronisation together.
+class SyncReader {
+ public:
+  explicit SyncReader(
+      const std::function<absl::Status(const SyncChunk&)>& visit)
+      : visit_(visit) {}
+
+  const std::optional<SyncSummary>& summary() const { return summary_; }
+
+  absl::Status Take(const v1::SyncRegionResponse& response) {
+    if (response.has_header()) {
+      const v1::SyncHeader& header = response.header();
+      lattice_ = core::Lattice(header.step_nm());
+      tile_level_ = header.tile_level();
+      for (const v1::ColumnSpec& column : header.columns()) {
+        columns_.push_back(FromProto(column));
+      }
+      return absl::OkStatus();
+    }
+    if (response.has_part()) return TakePart(response.part());
+    if (response.has_summary()) {
+      summary_ = FromProto(response.summary());
+      return absl::OkStatus();
+    }
+    return absl::DataLossError("a message of the answer holds nothing");
+  }
+
+ private:
+  absl::Status TakePart(const v1::SyncPart& part) {
+    if (chunk_.id.empty()) {
+      chunk_.id = part.chunk_id();
+      chunk_.tile = {tile_level_, part.x(), part.y(), part.z()};
+      chunk_.points.lattice = lattice_;
+      MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(columns_, chunk_.points));
+    } else if (chunk_.id != part.chunk_id()) {
+      return absl::DataLossError(
+          absl::StrCat("chunk ", chunk_.id, " of the answer is not complete"));
+    }
+    if (!part.block().empty()) {
+      MAPSIEVE_ASSIGN_OR_RETURN(core::LatticeCloud block,
+                                core::DecodePoints(TextBytes(part.block())));
+      MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(columns_, block));
+      core::LatticeCloud& points = chunk_.points;
+      MAPSIEVE_RETURN_IF_ERROR(points.attributes.AppendAll(
+          points.size(), block.attributes, block.size()));
+      points.positions.insert(points.positions.end(), block.positions.begin(),
+                              block.positions.end());
+    }
+    if (!part.is_last()) return absl::OkStatus();
+    const SyncChunk whole = std::exchange(chunk_, {});
+    return visit_(whole);
+  }
+
+  const std::function<absl::Status(const SyncChunk&)>& visit_;
+  core::Lattice lattice_;
+  int tile_level_ = 0;
+  std::vector<core::ColumnSpec> columns_;
+  /// Not complete; without an id there is none.
+  SyncChunk chunk_;
+  std::optional<SyncSummary> summary_;
+};
+
 class GrpcQueryStream final : public QueryStream {
  public:
   GrpcQueryStream(v1::QueryService::Stub& stub, const QuerySpec& spec)
@@ -106,7 +192,7 @@ class GrpcQueryStream final : public QueryStream {
       MAPSIEVE_ASSIGN_OR_RETURN(
           core::LatticeCloud cloud,
           core::DecodePoints(TextBytes(response.batch().block())));
-      MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(cloud));
+      MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(header_.columns, cloud));
       request_.set_resume_token(response.batch().resume_token());
       if (cloud.size() > 0) return cloud;
     }
@@ -141,29 +227,6 @@ class GrpcQueryStream final : public QueryStream {
       status = ReadHeader();
     }
     return status;
-  }
-
-  /// Gives the batch every column of the header, in that order.
-  absl::Status CompleteColumns(core::LatticeCloud& cloud) const {
-    core::ColumnSet complete;
-    for (const core::ColumnSpec& spec : header_.columns) {
-      core::Column* found = cloud.attributes.Find(spec.name);
-      if (found == nullptr) {
-        core::Column missing(spec);
-        missing.AppendMissing(cloud.size());
-        MAPSIEVE_RETURN_IF_ERROR(complete.Add(std::move(missing)));
-        continue;
-      }
-      if (!(found->spec() == spec)) {
-        return absl::DataLossError(
-            absl::StrCat("column \"", spec.name,
-                         "\" of a batch has another type than the "
-                         "header says"));
-      }
-      MAPSIEVE_RETURN_IF_ERROR(complete.Add(std::move(*found)));
-    }
-    cloud.attributes = std::move(complete);
-    return absl::OkStatus();
   }
 
   v1::QueryService::Stub& stub_;
@@ -601,6 +664,23 @@ absl::StatusOr<std::unique_ptr<QueryStream>> MapClient::Query(
   auto stream = std::make_unique<GrpcQueryStream>(*connection_->queries, spec);
   MAPSIEVE_RETURN_IF_ERROR(stream->ReadHeader());
   return stream;
+}
+
+absl::StatusOr<SyncSummary> MapClient::Sync(
+    const SyncSpec& spec,
+    const std::function<absl::Status(const SyncChunk&)>& visit) {
+  grpc::ClientContext context;
+  const auto stream = connection_->queries->SyncRegion(&context, ToProto(spec));
+  SyncReader reader(visit);
+  v1::SyncRegionResponse response;
+  absl::Status taken;
+  while (taken.ok() && stream->Read(&response)) taken = reader.Take(response);
+  if (!taken.ok()) context.TryCancel();
+  const absl::Status finished = ToStatus(stream->Finish());
+  MAPSIEVE_RETURN_IF_ERROR(taken);
+  MAPSIEVE_RETURN_IF_ERROR(finished);
+  if (reader.summary().has_value()) return *reader.summary();
+  return absl::DataLossError("the answer ended without its summary");
 }
 
 absl::StatusOr<core::LatticeCloud> MapClient::QueryAll(const QuerySpec& spec) {

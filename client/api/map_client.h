@@ -122,6 +122,13 @@ class MapClient {
 
   /// Starts a query and returns when its header is there.
   absl::StatusOr<std::unique_ptr<QueryStream>> Query(const QuerySpec& spec);
+  /// Brings the chunks of a region that the caller does not hold: calls `visit`
+  /// for each, in Morton order of tiles, and returns what it is to drop. After
+  /// an error the chunks visited by then are good. Returns what `visit` returns
+  /// if that is an error.
+  absl::StatusOr<SyncSummary> Sync(
+      const SyncSpec& spec,
+      const std::function<absl::Status(const SyncChunk&)>& visit);
   /// The whole answer in memory, for answers that are known to fit.
   absl::StatusOr<core::LatticeCloud> QueryAll(const QuerySpec& spec);
 

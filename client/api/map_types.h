@@ -11,6 +11,8 @@
 #include "absl/time/time.h"
 #include "core/cloud/column.h"
 #include "core/cloud/label.h"
+#include "core/cloud/point_cloud.h"
+#include "core/geometry/cell_key.h"
 #include "core/geometry/lattice.h"
 
 /// What the client library's calls take and return. Lengths are in map units,
@@ -387,6 +389,34 @@ struct QuerySpec {
   /// Damaged chunks are left out and told of in the summary; else they are
   /// kDataLoss.
   bool allow_partial = false;
+};
+
+/// What to bring of a map: see Chunk.
+struct SyncSpec {
+  /// The region chooses tiles, whose chunks hold all their points that the
+  /// other members ask for, in the region or not. Without a budget and
+  /// allow_partial.
+  QuerySpec query;
+  /// Of whatever query and revision; at most 65 536.
+  std::vector<std::string> held_chunk_ids;
+};
+
+/// What a query gives of one tile of a map.
+struct SyncChunk {
+  /// 32 hexadecimal digits; it changes with anything that the points depend on.
+  std::string id;
+  core::CellKey tile;
+  /// Perhaps none.
+  core::LatticeCloud points;
+};
+
+struct SyncSummary {
+  /// Revision that all chunks are of, those held included.
+  int64_t revision = 0;
+  /// Chunks of the region, those held included.
+  int64_t chunk_count = 0;
+  /// Held chunks that are not the region's, or not any more.
+  std::vector<std::string> dropped_chunk_ids;
 };
 
 /// What the answer to a query has in common.

@@ -75,6 +75,15 @@ struct ExportCommand {
 absl::Status RunExport(const CommonOptions& common,
                        const ExportCommand& command);
 
+struct SyncCommand {
+  /// Of the whole tiles around a place.
+  QuerySpec query;
+  /// Becomes the origin of the files.
+  core::Point3 origin;
+  std::string folder;
+};
+absl::Status RunSync(const CommonOptions& common, const SyncCommand& command);
+
 struct DeleteRegionCommand {
   std::string map;
   Region region;

@@ -360,6 +360,19 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+void AddOriginOption(CLI::App& command, std::vector<double>& origin,
+                     const std::string& description) {
+  command.add_option("--origin", origin, description + "; default 0 0 0")
+      ->expected(3)
+      ->allow_extra_args(false);
+}
+
+/// 0 0 0 for nothing.
+core::Point3 PointOf(const std::vector<double>& coordinates) {
+  if (coordinates.empty()) return {};
+  return {coordinates[0], coordinates[1], coordinates[2]};
+}
+
 void AddExport(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<ExportCommand>();
   auto region = std::make_shared<RegionOptions>();
@@ -374,12 +387,9 @@ void AddExport(CLI::App& app, const CommonOptions& common, Run& run) {
                    "occupied, the others are unknown")
       ->required()
       ->check(CLI::PositiveNumber);
-  command
-      ->add_option("--origin", *origin,
-                   "x y z in map units that become the file's origin, which is "
-                   "at most 2^15 voxels from any point; default 0 0 0")
-      ->expected(3)
-      ->allow_extra_args(false);
+  AddOriginOption(*command, *origin,
+                  "x y z in map units that become 0 0 0, which is at most 2^15 "
+                  "voxels from any point");
   command->add_option("--revision", options->spec.revision,
                       "Default: the newest one");
   command
@@ -388,10 +398,40 @@ void AddExport(CLI::App& app, const CommonOptions& common, Run& run) {
   command->callback([=, &common, &run] {
     options->spec.raw = true;
     options->spec.region = region->region();
-    if (!origin->empty()) {
-      options->occupancy.origin = {(*origin)[0], (*origin)[1], (*origin)[2]};
-    }
+    options->occupancy.origin = PointOf(*origin);
     run = [=, &common] { return RunExport(common, *options); };
+  });
+}
+
+void AddSync(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<SyncCommand>();
+  auto around = std::make_shared<std::vector<double>>();
+  auto origin = std::make_shared<std::vector<double>>();
+  CLI::App* command = app.add_subcommand(
+      "sync", "Keep the tiles around a place as files; brings what changed");
+  command->add_option("MAP", options->query.map_id, "Id of the map")
+      ->required();
+  command
+      ->add_option("DIR", options->folder,
+                   "Folder; DIR/current has the files, as Autoware's map "
+                   "loader reads them")
+      ->required();
+  command
+      ->add_option("--around", *around,
+                   "x y z radius in map units; tiles that it reaches are whole")
+      ->required()
+      ->expected(4)
+      ->allow_extra_args(false);
+  command
+      ->add_option("--depth", options->query.depth,
+                   "A level of detail: 0 all points, to 10")
+      ->check(CLI::Range(0, 10));
+  AddOriginOption(*command, *origin, "x y z in map units that become 0 0 0");
+  command->callback([=, &common, &run] {
+    const std::vector<double>& a = *around;
+    options->query.region = SphereRegion{{a[0], a[1], a[2]}, a[3]};
+    options->origin = PointOf(*origin);
+    run = [=, &common] { return RunSync(common, *options); };
   });
 }
 
@@ -553,6 +593,7 @@ int Main(int argc, char** argv) {
   AddProcess(app, common, run);
   AddQuery(app, common, run);
   AddExport(app, common, run);
+  AddSync(app, common, run);
   AddDeleteRegion(app, common, run);
   AddReplaceRegion(app, common, run);
   AddRevisionCommands(app, common, run);

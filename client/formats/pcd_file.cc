@@ -391,9 +391,11 @@ char TypeLetter(ScalarType type) {
   });
 }
 
-std::string MakeHeader(const std::vector<WrittenValue>& values, int64_t count) {
+std::string MakeHeader(ScalarType position,
+                       const std::vector<WrittenValue>& values, int64_t count) {
   std::string fields = "FIELDS x y z";
-  std::string sizes = "SIZE 8 8 8";
+  std::string sizes =
+      position == ScalarType::kFloat32 ? "SIZE 4 4 4" : "SIZE 8 8 8";
   std::string types = "TYPE F F F";
   std::string counts = "COUNT 1 1 1";
   for (const WrittenValue& value : values) {
@@ -460,8 +462,9 @@ absl::StatusOr<std::unique_ptr<PointWriter>> CreatePcdFile(
           "it"));
     }
   }
-  return MakeRecordWriter(path, values, [values](int64_t count) {
-    return MakeHeader(values, count);
+  const ScalarType position = TypeOfPositions(options);
+  return MakeRecordWriter(path, position, values, [=](int64_t count) {
+    return MakeHeader(position, values, count);
   });
 }
 

@@ -377,11 +377,15 @@ std::string_view NameOfType(ScalarType type) {
   return {};
 }
 
-std::string MakeHeader(const std::vector<WrittenValue>& values, int64_t count) {
+std::string MakeHeader(ScalarType position,
+                       const std::vector<WrittenValue>& values, int64_t count) {
   std::string header = absl::StrCat(
       "ply\nformat binary_little_endian 1.0\ncomment written by mapsieve",
-      CountPadding(count), "\nelement vertex ", count,
-      "\nproperty double x\nproperty double y\nproperty double z\n");
+      CountPadding(count), "\nelement vertex ", count, "\n");
+  for (const char axis : {'x', 'y', 'z'}) {
+    absl::StrAppend(&header, "property ", ToAbsl(NameOfType(position)), " ",
+                    std::string(1, axis), "\n");
+  }
   for (const WrittenValue& value : values) {
     absl::StrAppend(&header, "property ", ToAbsl(NameOfType(value.type)), " ",
                     value.name, "\n");
@@ -414,8 +418,9 @@ absl::StatusOr<std::unique_ptr<PointWriter>> CreatePlyFile(
   for (WrittenValue& value : values) {
     if (NameOfType(value.type).empty()) value.type = ScalarType::kFloat64;
   }
-  return MakeRecordWriter(path, values, [values](int64_t count) {
-    return MakeHeader(values, count);
+  const ScalarType position = TypeOfPositions(options);
+  return MakeRecordWriter(path, position, values, [=](int64_t count) {
+    return MakeHeader(position, values, count);
   });
 }
 

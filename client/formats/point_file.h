@@ -85,6 +85,9 @@ struct WriteOptions {
   core::Point3 origin;
   /// As in PointFileInfo; kept by LAS alone.
   std::string crs_wkt;
+  /// PCD and PLY: coordinates as float32, which many readers insist on. At a
+  /// kilometre from zero that is 0.06 mm, at a thousand kilometres 6 cm.
+  bool float_positions = false;
 };
 
 /// Creates the writer that the extension asks for: .las, .pcd (binary), .ply

@@ -189,12 +189,14 @@ bool IsExactAsDouble(T value) {
 
 class RecordWriter final : public PointWriter {
  public:
-  RecordWriter(std::unique_ptr<OutputFile> file,
+  RecordWriter(std::unique_ptr<OutputFile> file, ScalarType position,
                std::vector<WrittenValue> values,
                std::function<std::string(int64_t)> header)
       : file_(std::move(file)),
+        is_float_(position == ScalarType::kFloat32),
         values_(std::move(values)),
-        header_(std::move(header)) {
+        header_(std::move(header)),
+        record_bytes_(3 * ScalarSize(position)) {
     for (const WrittenValue& value : values_) {
       attributes_.push_back(value.spec);
       record_bytes_ += ScalarSize(value.type);
@@ -210,13 +212,9 @@ class RecordWriter final : public PointWriter {
       const size_t count =
           std::min(BlockRows(record_bytes_), batch.size() - first);
       records.resize(count * record_bytes_);
-      for (size_t i = 0; i < count; ++i) {
-        const core::Point3& p = batch.positions[first + i];
-        const std::array<double, 3> position = {p.x, p.y, p.z};
-        std::memcpy(records.data() + i * record_bytes_, position.data(),
-                    kPositionBytes);
-      }
-      size_t at = kPositionBytes;
+      const std::span points(batch.positions.data() + first, count);
+      size_t at = is_float_ ? PutPositions<float>(points, records)
+                            : PutPositions<double>(points, records);
       for (size_t i = 0; i < values_.size(); ++i) {
         Encode(*columns[i], values_[i].type, first, count, records.data() + at);
         at += ScalarSize(values_[i].type);
@@ -234,7 +232,19 @@ class RecordWriter final : public PointWriter {
   }
 
  private:
-  static constexpr size_t kPositionBytes = 3 * sizeof(double);
+  // Returns the bytes of a position.
+  template <typename T>
+  size_t PutPositions(std::span<const core::Point3> points,
+                      std::span<std::byte> records) const {
+    for (size_t i = 0; i < points.size(); ++i) {
+      const core::Point3& p = points[i];
+      const std::array<T, 3> position = {
+          static_cast<T>(p.x), static_cast<T>(p.y), static_cast<T>(p.z)};
+      std::memcpy(records.data() + i * record_bytes_, position.data(),
+                  sizeof(position));
+    }
+    return 3 * sizeof(T);
+  }
 
   // The batch's columns in the order of values_.
   absl::StatusOr<std::vector<const core::Column*>> Match(
@@ -291,10 +301,11 @@ class RecordWriter final : public PointWriter {
   }
 
   std::unique_ptr<OutputFile> file_;
+  bool is_float_;
   std::vector<WrittenValue> values_;
   std::vector<core::ColumnSpec> attributes_;
   std::function<std::string(int64_t)> header_;
-  size_t record_bytes_ = kPositionBytes;
+  size_t record_bytes_;
   int64_t count_ = 0;
 };
 
@@ -458,11 +469,12 @@ std::string CountPadding(int64_t count) {
 }
 
 absl::StatusOr<std::unique_ptr<PointWriter>> MakeRecordWriter(
-    const std::filesystem::path& path, std::vector<WrittenValue> values,
+    const std::filesystem::path& path, ScalarType position,
+    std::vector<WrittenValue> values,
     std::function<std::string(int64_t)> header) {
   MAPSIEVE_ASSIGN_OR_RETURN(auto file, OutputFile::Create(path));
   auto writer = std::make_unique<RecordWriter>(
-      std::move(file), std::move(values), std::move(header));
+      std::move(file), position, std::move(values), std::move(header));
   MAPSIEVE_RETURN_IF_ERROR(writer->Begin());
   return writer;
 }

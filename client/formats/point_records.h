@@ -136,16 +136,24 @@ absl::StatusOr<std::vector<WrittenValue>> NameWrittenValues(
     const std::filesystem::path& path,
     const std::vector<core::ColumnSpec>& attributes);
 
+/// Type of x, y and z in a file of records.
+inline core::ScalarType TypeOfPositions(const WriteOptions& options) {
+  return options.float_positions ? core::ScalarType::kFloat32
+                                 : core::ScalarType::kFloat64;
+}
+
 /// Blanks that bring any non-negative number to the length of the longest.
 std::string CountPadding(int64_t count);
 
 /// Writes `header` of the number of points, then little-endian records: x, y, z
-/// as float64, then `values`. `header` gives texts of one length. Missing
-/// values become NaN where the type in the file is floating, else 0. Write
-/// refuses with kInvalidArgument, and writes nothing of, a batch that
-/// MatchColumns refuses or that holds a 64-bit integer which float64 cannot.
+/// of type `position` (kFloat32 or kFloat64), then `values`. `header` gives
+/// texts of one length. Missing values become NaN where the type in the file is
+/// floating, else 0. Write refuses with kInvalidArgument, and writes nothing
+/// of, a batch that MatchColumns refuses or that holds a 64-bit integer which
+/// float64 cannot.
 absl::StatusOr<std::unique_ptr<PointWriter>> MakeRecordWriter(
-    const std::filesystem::path& path, std::vector<WrittenValue> values,
+    const std::filesystem::path& path, core::ScalarType position,
+    std::vector<WrittenValue> values,
     std::function<std::string(int64_t)> header);
 
 }  // namespace mapsieve::client

@@ -22,6 +22,7 @@
 #include "server/engine/request_checks.h"
 #include "server/engine/revision_report.h"
 #include "server/engine/revision_watch.h"
+#include "server/engine/sync_region.h"
 #include "server/engine/verify_map.h"
 #include "storage/file_system.h"
 #include "storage/names.h"
@@ -476,6 +477,11 @@ class LocalEngine final : public Engine {
   absl::StatusOr<std::unique_ptr<QueryCursor>> Query(
       const QuerySpec& spec, std::stop_token stop) override {
     return OpenQuery(*store_, query_memory_, spec, std::move(stop));
+  }
+
+  absl::StatusOr<std::unique_ptr<SyncCursor>> Sync(
+      const SyncSpec& spec, std::stop_token stop) override {
+    return OpenSync(*store_, query_memory_, spec, std::move(stop));
   }
 
   // Verification.

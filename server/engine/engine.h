@@ -15,6 +15,7 @@
 #include "absl/time/time.h"
 #include "core/spdf/spdf_options.h"
 #include "server/engine/query.h"
+#include "server/engine/sync.h"
 #include "server/engine/types.h"
 #include "server/engine/verify.h"
 
@@ -244,6 +245,12 @@ class Engine {
   /// nothing was processed up to it.
   virtual absl::StatusOr<std::unique_ptr<QueryCursor>> Query(
       const QuerySpec& spec, std::stop_token stop) = 0;
+
+  /// Checks `spec` and begins to bring a client's chunks up to date; stops soon
+  /// once `stop` asks for it. Errors as Query; kInvalidArgument: a budget,
+  /// allow_partial or a resume token in the query, or too many held chunks.
+  virtual absl::StatusOr<std::unique_ptr<SyncCursor>> Sync(
+      const SyncSpec& spec, std::stop_token stop) = 0;
 
   // Verification.
 

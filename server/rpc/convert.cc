@@ -424,6 +424,20 @@ absl::StatusOr<engine::QuerySpec> ToQuerySpec(
   return spec;
 }
 
+absl::StatusOr<engine::SyncSpec> ToSyncSpec(
+    const v1::SyncRegionRequest& request) {
+  engine::SyncSpec spec;
+  MAPSIEVE_ASSIGN_OR_RETURN(spec.query, ToQuerySpec(request.query()));
+  v1::QueryRegionRequest of_any_tile = request.query();
+  of_any_tile.clear_name();
+  of_any_tile.clear_revision();
+  of_any_tile.clear_region();
+  spec.query_key = of_any_tile.SerializeAsString();
+  spec.held_chunk_ids.assign(request.held_chunk_ids().begin(),
+                             request.held_chunk_ids().end());
+  return spec;
+}
+
 absl::StatusOr<std::optional<engine::RegionShape>> ToRegion(
     const v1::FinalizeUploadRequest& request) {
   return RegionOf(request);
@@ -593,6 +607,38 @@ v1::QuerySummary ToProto(const engine::QuerySummary& summary) {
   result.set_missing_point_count(summary.missing_point_count);
   for (const engine::DamagedChunk& chunk : summary.missing_chunks) {
     *result.add_missing_chunks() = ToProto(chunk);
+  }
+  return result;
+}
+
+v1::SyncHeader ToProto(const engine::SyncHeader& header) {
+  v1::SyncHeader result;
+  result.set_revision(header.revision);
+  result.set_step_nm(header.step_nm);
+  result.set_tile_level(header.tile_level);
+  for (const core::ColumnSpec& column : header.columns) {
+    *result.add_columns() = ToProto(column);
+  }
+  return result;
+}
+
+v1::SyncPart ToProto(const engine::SyncPart& part) {
+  v1::SyncPart result;
+  result.set_chunk_id(part.chunk_id);
+  result.set_x(part.tile.x);
+  result.set_y(part.tile.y);
+  result.set_z(part.tile.z);
+  result.set_block(part.block.data(), part.block.size());
+  result.set_is_last(part.is_last);
+  return result;
+}
+
+v1::SyncSummary ToProto(const engine::SyncSummary& summary) {
+  v1::SyncSummary result;
+  result.set_chunk_count(summary.chunk_count);
+  result.set_sent_chunk_count(summary.sent_chunk_count);
+  for (const std::string& id : summary.dropped_chunk_ids) {
+    result.add_dropped_chunk_ids(id);
   }
   return result;
 }

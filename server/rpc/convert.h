@@ -57,6 +57,8 @@ absl::StatusOr<engine::UploadSpec> ToUploadSpec(
 absl::StatusOr<core::SpdfOptions> ToSpdfOptions(const v1::SpdfOptions& options);
 absl::StatusOr<engine::QuerySpec> ToQuerySpec(
     const v1::QueryRegionRequest& request);
+absl::StatusOr<engine::SyncSpec> ToSyncSpec(
+    const v1::SyncRegionRequest& request);
 /// The region of a request; nothing if it has none.
 absl::StatusOr<std::optional<engine::RegionShape>> ToRegion(
     const v1::FinalizeUploadRequest& request);
@@ -78,6 +80,9 @@ v1::Revision ToProto(std::string_view map_id,
 v1::TileChange ToProto(const engine::TileChange& change);
 v1::DamagedChunk ToProto(const engine::DamagedChunk& chunk);
 v1::QuerySummary ToProto(const engine::QuerySummary& summary);
+v1::SyncHeader ToProto(const engine::SyncHeader& header);
+v1::SyncPart ToProto(const engine::SyncPart& part);
+v1::SyncSummary ToProto(const engine::SyncSummary& summary);
 v1::VerifyMapResponse ToProto(const engine::VerifyEvent& event);
 v1::VerifySummary ToProto(const engine::VerifySummary& summary);
 v1::Upload ToProto(std::string_view map_id, const engine::UploadInfo& upload);

@@ -1,6 +1,7 @@
 #include "server/rpc/query_service.h"
 
 #include <memory>
+#include <optional>
 #include <utility>
 
 #include "core/base/status.h"
@@ -57,12 +58,64 @@ class QueryReactor final : public StreamReactor<v1::QueryRegionResponse> {
   bool complete_ = false;
 };
 
+// One call of SyncRegion: a header and parts of chunks, if any; a summary.
+class SyncReactor final : public StreamReactor<v1::SyncRegionResponse> {
+ public:
+  SyncReactor(CallContext& calls, engine::Engine& engine,
+              const v1::SyncRegionRequest& request)
+      : StreamReactor(calls, "SyncRegion"),
+        engine_(engine),
+        request_(request) {}
+
+ protected:
+  absl::StatusOr<bool> Next(v1::SyncRegionResponse& response) override {
+    if (cursor_ == nullptr) {
+      if (complete_) return false;
+      MAPSIEVE_ASSIGN_OR_RETURN(const auto spec, ToSyncSpec(request_));
+      MAPSIEVE_ASSIGN_OR_RETURN(cursor_, engine_.Sync(spec, stop_token()));
+      MAPSIEVE_ASSIGN_OR_RETURN(ahead_, cursor_->Next());
+      if (ahead_.has_value()) {
+        const engine::SyncHeader& header = cursor_->header();
+        *response.mutable_header() = ToProto(header);
+        return true;
+      }
+    }
+    if (ahead_.has_value()) {
+      *response.mutable_part() = ToProto(*ahead_);
+      MAPSIEVE_ASSIGN_OR_RETURN(ahead_, cursor_->Next());
+      return true;
+    }
+    v1::SyncSummary& summary = *response.mutable_summary();
+    summary = ToProto(cursor_->summary());
+    summary.set_revision(cursor_->header().revision);
+    complete_ = true;
+    cursor_.reset();
+    return true;
+  }
+
+ private:
+  engine::Engine& engine_;
+  // gRPC keeps it until OnDone.
+  const v1::SyncRegionRequest& request_;
+  std::unique_ptr<engine::SyncCursor> cursor_;
+  std::optional<engine::SyncPart> ahead_;
+  bool complete_ = false;
+};
+
 }  // namespace
 
 grpc::ServerWriteReactor<v1::QueryRegionResponse>* QueryService::QueryRegion(
     grpc::CallbackServerContext* /*context*/,
     const v1::QueryRegionRequest* request) {
   auto* reactor = new QueryReactor(calls_, engine_, *request);
+  reactor->Start(calls_.admission->Admit(CallKind::kQuery));
+  return reactor;
+}
+
+grpc::ServerWriteReactor<v1::SyncRegionResponse>* QueryService::SyncRegion(
+    grpc::CallbackServerContext* /*context*/,
+    const v1::SyncRegionRequest* request) {
+  auto* reactor = new SyncReactor(calls_, engine_, *request);
   reactor->Start(calls_.admission->Admit(CallKind::kQuery));
   return reactor;
 }

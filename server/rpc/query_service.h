@@ -17,6 +17,9 @@ class QueryService final : public v1::QueryService::CallbackService {
   grpc::ServerWriteReactor<v1::QueryRegionResponse>* QueryRegion(
       grpc::CallbackServerContext* context,
       const v1::QueryRegionRequest* request) override;
+  grpc::ServerWriteReactor<v1::SyncRegionResponse>* SyncRegion(
+      grpc::CallbackServerContext* context,
+      const v1::SyncRegionRequest* request) override;
 
  private:
   CallContext& calls_;

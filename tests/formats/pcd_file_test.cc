@@ -426,6 +426,26 @@ TEST(PcdWriter, WritesTheHeaderOfTheFormat) {
                   Packed(1.0, 2.0, 3.0, uint16_t{513})));
 }
 
+TEST(PcdWriter, WritesFloatPositionsOnRequest) {
+  const TemporaryFile file(".pcd");
+  PointCloud cloud{.positions = {{1, 2.5, 16777217}}};
+  Column ring({"ring", ScalarType::kUint8}, 1);
+  ring.Set<uint8_t>(0, 7);
+  MAPSIEVE_ASSERT_OK(cloud.attributes.Add(std::move(ring)));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const auto writer,
+      CreatePcdFile(file.path(), {.attributes = cloud.attributes.specs(),
+                                  .float_positions = true}));
+  MAPSIEVE_ASSERT_OK(writer->Write(cloud));
+  MAPSIEVE_ASSERT_OK(writer->Finish());
+  EXPECT_THAT(file.Read(),
+              ::testing::EndsWith(
+                  "\nVERSION 0.7\nFIELDS x y z ring\nSIZE 4 4 4 1\n"
+                  "TYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 1\nHEIGHT 1\n"
+                  "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 1\nDATA binary\n" +
+                  Packed(1.0F, 2.5F, 16777216.0F, uint8_t{7})));
+}
+
 TEST(PcdWriter, WritesMissingValuesAsNanOrZero) {
   const TemporaryFile file(".pcd");
   PointCloud cloud{.positions = {{1, 2, 3}, {4, 5, 6}}};

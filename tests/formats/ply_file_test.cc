@@ -384,6 +384,19 @@ TEST(PlyWriter, WritesTheHeaderAndRecordsOfTheProduct) {
                                 -9007199254740992.0)));
 }
 
+TEST(PlyWriter, WritesFloatPositionsOnRequest) {
+  const TemporaryFile file(".ply");
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const auto writer, CreatePlyFile(file.path(), {.float_positions = true}));
+  MAPSIEVE_ASSERT_OK(writer->Write({.positions = {{1, 2.5, 16777217}}}));
+  MAPSIEVE_ASSERT_OK(writer->Finish());
+  EXPECT_THAT(file.Read(),
+              ::testing::EndsWith(
+                  "\nelement vertex 1\nproperty float x\nproperty float y\n"
+                  "property float z\nend_header\n" +
+                  Packed<false>(1.0F, 2.5F, 16777216.0F)));
+}
+
 TEST(PlyWriter, WritesWhatTheReaderReadsBitForBit) {
   const TemporaryFile file(".ply");
   // More records than fit one block of the reader.

@@ -1,0 +1,205 @@
+#!/usr/bin/python3
+"""`mapsieve sync`: a local window of a map, kept up to date.
+
+usage: sync_test.py BIN_DIR
+"""
+
+import fcntl
+import math
+import pathlib
+import shutil
+import struct
+import sys
+import tempfile
+import unittest
+
+from programs import Server, answer_of, mapsieve
+
+TILE = 4.096
+AROUND = (6.0, 6.0, 1.0, 5.0)
+
+
+def points_of_pcd(path):
+    """Positions of a binary PCD file whose first fields are x y z."""
+    head, data = path.read_bytes().split(b"DATA binary\n", 1)
+    fields = {line.split()[0]: line.split()[1:]
+              for line in head.decode().splitlines() if not line.startswith("#")}
+    assert fields["FIELDS"][:3] == ["x", "y", "z"], path
+    assert fields["SIZE"][:3] == ["4", "4", "4"], path
+    stride = sum(map(int, fields["SIZE"]))
+    count = int(fields["POINTS"][0])
+    assert len(data) == stride * count, path
+    return [struct.unpack_from("<3f", data, i * stride) for i in range(count)]
+
+
+def metadata_of(window):
+    """Cell size, and the lower corner of each file."""
+    entries = {}
+    for line in (window / "pointcloud_map_metadata.yaml").read_text(
+            ).splitlines():
+        name, value = line.split(": ")
+        entries[name] = value
+    size = (float(entries.pop("x_resolution")),
+            float(entries.pop("y_resolution")))
+    return size, {name: tuple(map(float, value.strip("[]").split(", ")))
+                  for name, value in entries.items()}
+
+
+class Sync(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.work = pathlib.Path(folder.name)
+        self.server = self.enterContext(Server(self.work / "data"))
+        self.folder = self.work / "window"
+        mapsieve("simulate", self.work / "scan.las", "--points", 60000)
+        self.server.mapsieve("create", "map", "--tile-edge", TILE)
+        self.server.mapsieve("upload", "map", self.work / "scan.las")
+        self.server.mapsieve("process", "map", "--rho", 0.4)
+
+    def sync(self, around=AROUND, *options):
+        return self.server.mapsieve("sync", "map", self.folder, "--around",
+                                    *around, *options)
+
+    def window(self):
+        return (self.folder / "current").resolve(strict=True)
+
+    def check_window(self, around=AROUND, origin=(0, 0, 0)):
+        """Every tile is whole, and all around the place is there."""
+        window = self.window()
+        size, corners = metadata_of(window)
+        self.assertEqual(size, (TILE, TILE))
+        self.assertEqual(sorted(corners),
+                         sorted(path.name for path in window.glob("*.pcd")))
+        answer = self.work / "all.csv"
+        self.server.mapsieve("query", "map", "-o", answer)
+        names, rows = answer_of(answer)
+        columns = [names.index(axis) for axis in "xyz"]
+        points = [tuple(float(row[i]) for i in columns) for row in rows]
+        by_tile = {}
+        for p in points:
+            tile = "_".join(str(math.floor(c / TILE)) for c in p)
+            by_tile.setdefault(tile, []).append(p)
+
+        tiles = set()
+        for name, corner in corners.items():
+            tile = name.split("-")
+            tile = "-".join(tile[:-1])
+            tiles.add(tile)
+            x, y, _ = map(int, tile.split("_"))
+            self.assertAlmostEqual(corner[0], x * TILE - origin[0], places=6)
+            self.assertAlmostEqual(corner[1], y * TILE - origin[1], places=6)
+            found = sorted(points_of_pcd(window / name))
+            expected = sorted(tuple(c - o for c, o in zip(p, origin))
+                              for p in by_tile[tile])
+            self.assertEqual(len(found), len(expected))
+            for a, b in zip(found, expected):
+                for u, v in zip(a, b):
+                    self.assertAlmostEqual(u, v, places=4)
+        for tile, inside in by_tile.items():
+            if any(math.dist(p, around[:3]) <= around[3] for p in inside):
+                self.assertIn(tile, tiles)
+        return tiles
+
+    def test_brings_only_what_changed(self):
+        first = self.sync()
+        self.assertGreater(first["chunk_count"], 3)
+        self.assertEqual(first["received_chunk_count"], first["chunk_count"])
+        self.check_window()
+        window = self.window()
+
+        again = self.sync()
+        self.assertEqual(again["received_chunk_count"], 0)
+        self.assertEqual(again["dropped_chunk_count"], 0)
+        self.assertEqual(again["point_count"], first["point_count"])
+        self.assertEqual(self.window(), window)
+
+        # A clump far enough from most tiles for their product to stay.
+        clump = self.work / "clump.csv"
+        clump.write_text("x,y,z\n" + "".join(
+            f"{3 + i % 7 / 50:.3f},{3 + i // 7 % 7 / 50:.3f},"
+            f"{1 + i // 49 / 50:.3f}\n" for i in range(343)))
+        self.server.mapsieve("upload", "map", clump)
+        self.server.mapsieve("process", "map")
+        inodes = {path.name: path.stat().st_ino for path in window.iterdir()}
+        changed = self.sync()
+        self.check_window()
+        self.assertGreater(changed["received_chunk_count"], 0)
+        self.assertLess(changed["received_chunk_count"],
+                        changed["chunk_count"])
+        kept = [path for path in self.window().glob("*.pcd")
+                if inodes.get(path.name) == path.stat().st_ino]
+        self.assertEqual(len(kept), changed["chunk_count"] -
+                         changed["received_chunk_count"])
+        # Who was still in the window before finds it whole.
+        self.assertEqual(sorted(inodes),
+                         sorted(path.name for path in window.iterdir()))
+
+        there = (20.0, 14.0, 1.0, 5.0)
+        moved = self.sync(there)
+        self.assertGreater(moved["dropped_chunk_count"], 0)
+        self.check_window(there)
+        self.assertFalse(window.exists())
+
+    def test_other_options_are_another_window(self):
+        fine = self.sync()
+        coarse = self.sync(AROUND, "--depth", 2)
+        self.assertEqual(coarse["received_chunk_count"],
+                         coarse["chunk_count"])
+        self.assertLess(coarse["point_count"], fine["point_count"])
+        origin = (5.5, -3.25, 1.0)
+        self.sync(AROUND, "--origin", *origin)
+        self.check_window(origin=origin)
+
+    def test_a_break_leaves_a_whole_window(self):
+        self.sync()
+        window = self.window()
+        files = sorted(path.name for path in window.iterdir())
+        # What a process that was killed leaves.
+        left = self.folder / "window-2"
+        left.mkdir()
+        (left / "0_0_0-01234567.pcd").write_text("half")
+        # And what a user did.
+        gone = next(window.glob("*.pcd"))
+        gone.unlink()
+        result = self.sync()
+        self.assertEqual(result["received_chunk_count"], 1)
+        self.assertEqual(sorted(path.name for path in self.window().iterdir()),
+                         files)
+        self.check_window()
+        (self.window() / "window.json").write_text("{")
+        self.assertEqual(self.sync()["received_chunk_count"],
+                         result["chunk_count"])
+        self.check_window()
+
+    def test_says_what_is_wrong_and_leaves_the_window(self):
+        self.sync()
+        window = self.window()
+        with open(self.folder / "lock") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            self.refused("another sync", "map", self.folder)
+        other = self.work / "other"
+        other.mkdir()
+        (other / "letter.txt").write_text("mine")
+        self.refused("holds other things", "map", other)
+        self.assertEqual([path.name for path in other.iterdir()],
+                         ["letter.txt"])
+        self.refused("map none", "none", self.folder)
+        self.assertEqual(self.window(), window)
+        copy = self.work / "copy"
+        shutil.copytree(window, copy)
+        self.server.stop()
+        self.refused("", "map", self.folder)
+        self.assertEqual(sorted(path.name for path in self.window().iterdir()),
+                         sorted(path.name for path in copy.iterdir()))
+        self.server.start()
+
+    def refused(self, message, *arguments):
+        result = self.server.run_command("sync", *arguments, "--around",
+                                         *AROUND)
+        self.assertEqual(result.returncode, 1, result.stdout)
+        self.assertIn(message, result.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main(argv=sys.argv[:1], verbosity=2)
