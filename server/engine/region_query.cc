@@ -349,7 +349,31 @@ class RegionQuery final : public QueryCursor {
   int64_t block_bytes_ = 0;
 };
 
-/// The revision that answers `spec`.
+/// What tokens of answers to `spec` are bound to: the query and the map, which
+/// may have had another of its name before.
+uint64_t ResumeKey(const QuerySpec& spec, const storage::MapRecord& map) {
+  return spec.resume_key ^ Hash64(TextBytes(map.uid));
+}
+
+/// Begins the answer of a pinned revision that answers `spec`.
+absl::StatusOr<std::unique_ptr<QueryCursor>> Open(
+    std::shared_ptr<const ReadSnapshot> snapshot, MemoryPool& memory,
+    QuerySpec spec, std::optional<ResumePoint> resume, std::stop_token stop) {
+  spec.resume_key = ResumeKey(spec, snapshot->map());
+  MAPSIEVE_ASSIGN_OR_RETURN(PointFilter filter,
+                            PointFilter::Make(spec, *snapshot));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      AnswerColumns columns,
+      AnswerColumns::Make(spec, snapshot->revision().spec.attributes));
+  auto query = std::make_unique<RegionQuery>(
+      memory, spec, std::move(snapshot), std::move(filter), std::move(columns),
+      std::move(resume), std::move(stop));
+  MAPSIEVE_RETURN_IF_ERROR(query->Prepare());
+  return query;
+}
+
+}  // namespace
+
 absl::StatusOr<std::shared_ptr<const ReadSnapshot>> OpenRevision(
     storage::Store& store, const QuerySpec& spec) {
   MAPSIEVE_ASSIGN_OR_RETURN(auto asked,
@@ -370,14 +394,6 @@ absl::StatusOr<std::shared_ptr<const ReadSnapshot>> OpenRevision(
   return store.OpenProduct(*asked);
 }
 
-/// What tokens of answers to `spec` are bound to: the query and the map, which
-/// may have had another of its name before.
-uint64_t ResumeKey(const QuerySpec& spec, const storage::MapRecord& map) {
-  return spec.resume_key ^ Hash64(TextBytes(map.uid));
-}
-
-}  // namespace
-
 absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(storage::Store& store,
                                                        MemoryPool& memory,
                                                        const QuerySpec& asked,
@@ -394,17 +410,14 @@ absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(storage::Store& store,
   }
   MAPSIEVE_ASSIGN_OR_RETURN(std::shared_ptr<const ReadSnapshot> snapshot,
                             OpenRevision(store, spec));
-  spec.resume_key = ResumeKey(asked, snapshot->map());
-  MAPSIEVE_ASSIGN_OR_RETURN(PointFilter filter,
-                            PointFilter::Make(spec, *snapshot));
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      AnswerColumns columns,
-      AnswerColumns::Make(spec, snapshot->revision().spec.attributes));
-  auto query = std::make_unique<RegionQuery>(
-      memory, spec, std::move(snapshot), std::move(filter), std::move(columns),
-      std::move(resume), std::move(stop));
-  MAPSIEVE_RETURN_IF_ERROR(query->Prepare());
-  return query;
+  return Open(std::move(snapshot), memory, std::move(spec), std::move(resume),
+              std::move(stop));
+}
+
+absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(
+    std::shared_ptr<const ReadSnapshot> snapshot, MemoryPool& memory,
+    const QuerySpec& spec, std::stop_token stop) {
+  return Open(std::move(snapshot), memory, spec, std::nullopt, std::move(stop));
 }
 
 }  // namespace mapsieve::engine

@@ -18,6 +18,18 @@ absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(storage::Store& store,
                                                        const QuerySpec& spec,
                                                        std::stop_token stop);
 
+/// The same for a checked `spec` without a resume token, over a pinned revision
+/// that answers it (OpenRevision).
+absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(
+    std::shared_ptr<const storage::ReadSnapshot> snapshot, MemoryPool& memory,
+    const QuerySpec& spec, std::stop_token stop);
+
+/// Pins the revision that answers `spec`. kNotFound; kFailedPrecondition: never
+/// processed, and not `raw`; kOutOfRange: no such revision, it expired, or
+/// nothing was processed up to it.
+absl::StatusOr<std::shared_ptr<const storage::ReadSnapshot>> OpenRevision(
+    storage::Store& store, const QuerySpec& spec);
+
 }  // namespace mapsieve::engine
 
 #endif  // MAPSIEVE_SERVER_ENGINE_REGION_QUERY_H_
