@@ -107,7 +107,8 @@ void AnswerColumns::AddVector(std::span<const std::string_view> names,
                            std::vector<Column>& answer) -> absl::Status {
         MAPSIEVE_ASSIGN_OR_RETURN(
             const Column* const codes,
-            FindProductColumn(chunk, stored_name, ScalarType::kUint32));
+            FindProductColumn(chunk.attributes, stored_name,
+                              ScalarType::kUint32));
         const size_t first = answer.size();
         for (const ColumnSpec& spec : specs) {
           answer.emplace_back(spec, rows.size());
@@ -131,7 +132,7 @@ void AnswerColumns::AddCopy(const ColumnSpec& spec,
                           std::vector<Column>& answer) -> absl::Status {
         MAPSIEVE_ASSIGN_OR_RETURN(
             const Column* const stored,
-            FindProductColumn(chunk, stored_name, spec.type));
+            FindProductColumn(chunk.attributes, stored_name, spec.type));
         answer.push_back(stored->Select(rows));
         answer.back().Rename(spec.name);
         return absl::OkStatus();
@@ -149,7 +150,8 @@ void AnswerColumns::AddFilterColumns(const ColumnSelection& selection) {
                std::vector<Column>& answer) -> absl::Status {
           MAPSIEVE_ASSIGN_OR_RETURN(
               const Column* const stored,
-              FindProductColumn(chunk, kConfidenceColumn, ScalarType::kUint16));
+              FindProductColumn(chunk.attributes, kConfidenceColumn,
+                                ScalarType::kUint16));
           Column& column = answer.emplace_back(spec, rows.size());
           for (size_t i = 0; i < rows.size(); ++i) {
             column.Set(i,
@@ -181,7 +183,8 @@ void AnswerColumns::AddAttribute(const ColumnSpec& attribute,
           return absl::OkStatus();
         }
         MAPSIEVE_RETURN_IF_ERROR(
-            FindProductColumn(chunk, attribute.name, spec.type).status());
+            FindProductColumn(chunk.attributes, attribute.name, spec.type)
+                .status());
         answer.push_back(stored->Select(rows));
         answer.back().Rename(spec.name);
         return absl::OkStatus();

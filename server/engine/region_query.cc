@@ -75,9 +75,9 @@ struct PointFilter {
     std::optional<LabelColumnView> columns;
     std::vector<uint8_t> depths;
     if (outliers.has_value()) {
-      MAPSIEVE_ASSIGN_OR_RETURN(columns, LabelColumnView::Of(chunk));
+      MAPSIEVE_ASSIGN_OR_RETURN(columns, LabelColumnView::Of(chunk.attributes));
       if (min_depth > 0) {
-        MAPSIEVE_ASSIGN_OR_RETURN(depths, DepthsOf(chunk));
+        MAPSIEVE_ASSIGN_OR_RETURN(depths, DepthsOf(chunk.attributes));
       }
     }
     Passed passed;

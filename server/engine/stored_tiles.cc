@@ -165,8 +165,16 @@ absl::Status StoredTiles::StoreState(const CellKey& key,
     return options_.checkpoint->Store(StateName(key, kind), bytes);
   }
   MAPSIEVE_RETURN_IF_ERROR(scratch_.Write(StateName(key, kind), bytes));
-  if (kind == core::TileStateKind::kDeaths) stored_deaths_.insert(key);
+  if (kind == core::TileStateKind::kDeaths) {
+    const MutexLock lock(mutex_);
+    stored_deaths_.insert(key);
+  }
   return absl::OkStatus();
+}
+
+bool StoredTiles::HasStoredDeaths(const CellKey& key) const {
+  const MutexLock lock(mutex_);
+  return stored_deaths_.contains(key);
 }
 
 absl::Status StoredTiles::LoadState(const CellKey& key,
@@ -179,7 +187,7 @@ absl::Status StoredTiles::LoadState(const CellKey& key,
                                      BytesOf(rows, row_bytes), room);
   }
   if (kind != core::TileStateKind::kDeaths || previous_ == nullptr ||
-      stored_deaths_.contains(key)) {
+      HasStoredDeaths(key)) {
     return scratch_.ReadParts(StateName(key, kind), BytesOf(rows, row_bytes),
                               room);
   }
@@ -195,7 +203,7 @@ absl::Status StoredTiles::LoadState(const CellKey& key,
 }
 
 /// Of the tile's points of today: those of the previous run, kAlive for points
-/// that were not there.
+/// that were not there. Those of a changed tile are dear: they are stored.
 absl::StatusOr<std::vector<core::DeathRound>> StoredTiles::PreviousDeaths(
     const CellKey& key) {
   MAPSIEVE_ASSIGN_OR_RETURN(std::vector<core::DeathRound> before,
@@ -203,8 +211,14 @@ absl::StatusOr<std::vector<core::DeathRound>> StoredTiles::PreviousDeaths(
   if (!changed_.contains(key)) return before;
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> old_points,
                             ReadDistinctPoints(*previous_, key));
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> points,
-                            ReadDistinctPoints(snapshot_, key));
+  const auto tile =
+      std::lower_bound(tiles_.begin(), tiles_.end(), key,
+                       [](const core::TileInfo& info, const CellKey& wanted) {
+                         return core::CellKeyLess()(info.key, wanted);
+                       });
+  std::vector<LatticePoint> points(static_cast<size_t>(tile->point_count));
+  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size, LoadPoints(key, points));
+  points.resize(static_cast<size_t>(size));
   if (before.size() != old_points.size()) {
     return absl::DataLossError(
         absl::StrCat("tile ", key.ToString(), ": expected ", old_points.size(),
@@ -213,6 +227,8 @@ absl::StatusOr<std::vector<core::DeathRound>> StoredTiles::PreviousDeaths(
   std::vector<core::DeathRound> deaths(points.size(), core::kAlive);
   ForEachCommon(points, old_points,
                 [&](size_t i, size_t j) { deaths[i] = before[j]; });
+  MAPSIEVE_RETURN_IF_ERROR(StoreState(key, core::TileStateKind::kDeaths,
+                                      std::as_bytes(std::span(deaths))));
   return deaths;
 }
 
@@ -261,9 +277,6 @@ std::vector<std::vector<std::byte>> StoredTiles::FinishedVisits() {
 
 absl::Status StoredTiles::Emit(const core::TileResult& result) {
   const core::LabelSpans& labels = result.columns;
-  for (size_t i = 0; i < labels.size(); ++i) {
-    histogram_.Add(labels.label[i], labels.confidence[i]);
-  }
   emitted_.insert(result.key);
   Pending pending = {.tile = result.key};
   pending.deaths.assign(result.deaths.begin(), result.deaths.end());

@@ -10,14 +10,15 @@
 #include <unordered_set>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/base/mutex.h"
 #include "core/cloud/point_cloud.h"
 #include "core/spdf/labels.h"
 #include "core/spdf/tile_filter.h"
 #include "core/spdf/tile_update.h"
 #include "server/engine/chunk_repair.h"
-#include "server/engine/confidence_histogram.h"
 #include "server/engine/death_history.h"
 #include "server/engine/product_levels.h"
 #include "server/engine/run_checkpoint.h"
@@ -83,8 +84,6 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
   const std::unordered_set<core::CellKey, core::CellKeyHash>& emitted() const {
     return emitted_;
   }
-  /// Of the points emitted.
-  const ConfidenceHistogram& histogram() const { return histogram_; }
 
  private:
   /// An answer that waits.
@@ -99,6 +98,7 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
               const storage::ReadSnapshot* previous, storage::Scratch& scratch,
               ProductLevels& products, const Options& options);
   absl::Status ReadTileList();
+  bool HasStoredDeaths(const core::CellKey& key) const;
   absl::StatusOr<std::vector<core::DeathRound>> PreviousDeaths(
       const core::CellKey& key);
   absl::StatusOr<core::LatticeCloud> CollectRepresentatives(
@@ -113,14 +113,15 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
   std::vector<storage::ChunkRef> history_chunks_;
   std::vector<core::TileInfo> tiles_;
   std::unordered_set<core::CellKey, core::CellKeyHash> changed_;
+  mutable Mutex mutex_;
   /// Tiles whose deaths are in scratch_.
-  std::unordered_set<core::CellKey, core::CellKeyHash> stored_deaths_;
+  std::unordered_set<core::CellKey, core::CellKeyHash> stored_deaths_
+      ABSL_GUARDED_BY(mutex_);
   std::unordered_set<core::CellKey, core::CellKeyHash> emitted_;
   std::vector<Pending> pending_;
   int64_t pending_bytes_ = 0;
   /// An upper bound of the memory of a decoded point of the map.
   const int64_t point_bytes_;
-  ConfidenceHistogram histogram_;
 };
 
 }  // namespace mapsieve::engine
