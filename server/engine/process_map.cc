@@ -49,7 +49,8 @@ struct ProductTotals {
 struct Previous {
   std::shared_ptr<const ReadSnapshot> snapshot;
   ProcessReport report;
-  std::vector<core::TileChange> changes;
+  /// Tiles that hold something else now.
+  std::vector<core::CellKey> changed_tiles;
 };
 
 /// Calls use(chunk) for all chunks of a kind.
@@ -175,9 +176,9 @@ class MapRun {
       return std::nullopt;
     }
     MAPSIEVE_ASSIGN_OR_RETURN(
-        previous.changes, FindChanges(store_.catalogue(), *previous.snapshot,
-                                      snapshot_, context_));
-    if (2 * static_cast<int64_t>(previous.changes.size()) >
+        previous.changed_tiles,
+        FindChangedTiles(store_.catalogue(), *previous.snapshot, snapshot_));
+    if (2 * static_cast<int64_t>(previous.changed_tiles.size()) >
         then.totals.tile_count) {
       return std::nullopt;
     }
@@ -205,15 +206,17 @@ class MapRun {
   absl::StatusOr<ProcessReport> Update(const Previous& previous) {
     MAPSIEVE_RETURN_IF_ERROR(OpenTiles(&previous, nullptr));
     MAPSIEVE_ASSIGN_OR_RETURN(
+        const std::vector<core::TileChange> changes,
+        tiles_->CompareTiles(previous.changed_tiles, context_));
+    MAPSIEVE_ASSIGN_OR_RETURN(
         const core::UpdateSummary update,
-        core::UpdateTiles(*tiles_, *tiles_, previous.changes, lattice_,
-                          options_, tiling_, context_));
+        core::UpdateTiles(*tiles_, *tiles_, changes, lattice_, options_,
+                          tiling_, context_));
     MAPSIEVE_RETURN_IF_ERROR(tiles_->Flush());
     std::unordered_set<core::CellKey, core::CellKeyHash> replaced =
         tiles_->emitted();
-    for (const core::TileChange& change : previous.changes) {
-      replaced.insert(change.tile);
-    }
+    replaced.insert(previous.changed_tiles.begin(),
+                    previous.changed_tiles.end());
 
     const storage::ProductSummary& before =
         *previous.snapshot->revision().spec.product;
@@ -277,8 +280,6 @@ class MapRun {
         tiles_, StoredTiles::Open(
                     store_, snapshot_,
                     previous == nullptr ? nullptr : previous->snapshot.get(),
-                    previous == nullptr ? std::span<const core::TileChange>()
-                                        : std::span(previous->changes),
                     *scratch_, *levels_,
                     {.max_pending_bytes = limits_.pending_bytes,
                      .io = &io_,

@@ -45,13 +45,20 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
   };
 
   /// Reads the list of tiles. `previous`: the revision whose history serves
-  /// tiles that the run has not filtered yet, with `changes` (FindChanges)
-  /// since then; null for none. The references outlive the object.
+  /// tiles that the run has not filtered yet; null for none. The references
+  /// outlive the object.
   static absl::StatusOr<std::unique_ptr<StoredTiles>> Open(
       storage::Store& store, const storage::ReadSnapshot& snapshot,
-      const storage::ReadSnapshot* previous,
-      std::span<const core::TileChange> changes, storage::Scratch& scratch,
+      const storage::ReadSnapshot* previous, storage::Scratch& scratch,
       ProductLevels& products, const Options& options);
+
+  /// How the points of `tiles` differ from those of the previous revision. Has
+  /// to be called before anything is loaded, with all tiles that may differ
+  /// (FindChangedTiles). Reads as many tiles at a time as the context has
+  /// workers. Errors of storage; kDataLoss: points and history of the previous
+  /// revision disagree; kCancelled.
+  absl::StatusOr<std::vector<core::TileChange>> CompareTiles(
+      std::span<const core::CellKey> tiles, const ExecutionContext& context);
 
   std::vector<core::TileInfo> Tiles() const override { return tiles_; }
   absl::StatusOr<int64_t> LoadPoints(
@@ -99,8 +106,9 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
               ProductLevels& products, const Options& options);
   absl::Status ReadTileList();
   bool HasStoredDeaths(const core::CellKey& key) const;
-  absl::StatusOr<std::vector<core::DeathRound>> PreviousDeaths(
-      const core::CellKey& key);
+  absl::Status KeepPoints(const core::CellKey& key,
+                          std::span<const core::LatticePoint> points);
+  absl::StatusOr<core::TileChange> CompareTile(const core::CellKey& tile);
   absl::StatusOr<core::LatticeCloud> CollectRepresentatives(
       const core::CellKey& tile, std::span<const core::LatticePoint> positions);
 
@@ -112,7 +120,6 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
   DeathHistoryWriter history_;
   std::vector<storage::ChunkRef> history_chunks_;
   std::vector<core::TileInfo> tiles_;
-  std::unordered_set<core::CellKey, core::CellKeyHash> changed_;
   mutable Mutex mutex_;
   /// Tiles whose deaths are in scratch_.
   std::unordered_set<core::CellKey, core::CellKeyHash> stored_deaths_
