@@ -490,8 +490,19 @@ absl::StatusOr<BlockHeader> ReadBlockHeader(std::span<const std::byte> bytes) {
   return header;
 }
 
-absl::StatusOr<LatticeCloud> DecodePoints(std::span<const std::byte> bytes,
-                                          const DecodeOptions& options) {
+namespace {
+
+bool IsWanted(const ColumnEntry& entry, const DecodeOptions& options) {
+  return !options.attributes.has_value() ||
+         std::find(options.attributes->begin(), options.attributes->end(),
+                   entry.spec.name) != options.attributes->end();
+}
+
+/// The head of the block that fills `bytes`; kDataLoss if it does not, or is
+/// damaged; kResourceExhausted: the attributes wanted and the positions need
+/// more memory than they may.
+absl::StatusOr<BlockHead> OpenBlock(std::span<const std::byte> bytes,
+                                    const DecodeOptions& options) {
   if (bytes.size() < kBlockPrefixBytes) {
     return absl::DataLossError(absl::StrCat("point block: expected at least ",
                                             kBlockPrefixBytes, " bytes, have ",
@@ -502,17 +513,11 @@ absl::StatusOr<LatticeCloud> DecodePoints(std::span<const std::byte> bytes,
     return absl::DataLossError(absl::StrCat(
         "point block: expected ", block_bytes, " bytes, have ", bytes.size()));
   }
-  MAPSIEVE_ASSIGN_OR_RETURN(const BlockHead head, ReadBlockHead(bytes));
-
-  const auto wanted = [&](const ColumnEntry& entry) {
-    return !options.attributes.has_value() ||
-           std::find(options.attributes->begin(), options.attributes->end(),
-                     entry.spec.name) != options.attributes->end();
-  };
+  MAPSIEVE_ASSIGN_OR_RETURN(BlockHead head, ReadBlockHead(bytes));
   std::vector<ColumnSpec> specs;
   size_t with_missing = 0;
   for (const ColumnEntry& entry : head.attributes()) {
-    if (!wanted(entry)) continue;
+    if (!IsWanted(entry, options)) continue;
     specs.push_back(entry.spec);
     with_missing += entry.has_missing ? 1 : 0;
   }
@@ -524,22 +529,46 @@ absl::StatusOr<LatticeCloud> DecodePoints(std::span<const std::byte> bytes,
         " bytes decoded, the limit is ", options.max_decoded_bytes,
         "; make smaller blocks or ask for fewer attributes"));
   }
+  return head;
+}
 
-  LatticeCloud cloud;
-  cloud.lattice = Lattice(head.step_nm);
-  MAPSIEVE_RETURN_IF_ERROR(DecodePositions(head, bytes, cloud.positions));
+/// The attributes wanted.
+absl::StatusOr<ColumnSet> DecodeAttributes(const BlockHead& head,
+                                           std::span<const std::byte> bytes,
+                                           const DecodeOptions& options) {
+  ColumnSet attributes;
   size_t offset = head.head_bytes;
   for (size_t i = 0; i < head.columns.size(); ++i) {
     const ColumnEntry& entry = head.columns[i];
-    if (i >= head.position_column_count() && wanted(entry)) {
+    if (i >= head.position_column_count() && IsWanted(entry, options)) {
       Column column(entry.spec, head.point_count);
       MAPSIEVE_RETURN_IF_ERROR(
           DecodeColumn(entry, bytes, offset, column.mutable_bytes(), &column));
-      MAPSIEVE_RETURN_IF_ERROR(cloud.attributes.Add(std::move(column)));
+      MAPSIEVE_RETURN_IF_ERROR(attributes.Add(std::move(column)));
     }
     offset += entry.stored_bytes;
   }
+  return attributes;
+}
+
+}  // namespace
+
+absl::StatusOr<LatticeCloud> DecodePoints(std::span<const std::byte> bytes,
+                                          const DecodeOptions& options) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const BlockHead head, OpenBlock(bytes, options));
+  LatticeCloud cloud;
+  cloud.lattice = Lattice(head.step_nm);
+  MAPSIEVE_RETURN_IF_ERROR(DecodePositions(head, bytes, cloud.positions));
+  MAPSIEVE_ASSIGN_OR_RETURN(cloud.attributes,
+                            DecodeAttributes(head, bytes, options));
   return cloud;
+}
+
+absl::StatusOr<ColumnSet> DecodeColumns(std::span<const std::byte> bytes,
+                                        const std::vector<std::string>& names) {
+  const DecodeOptions options = {.attributes = names};
+  MAPSIEVE_ASSIGN_OR_RETURN(const BlockHead head, OpenBlock(bytes, options));
+  return DecodeAttributes(head, bytes, options);
 }
 
 }  // namespace mapsieve::core

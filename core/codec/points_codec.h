@@ -90,6 +90,13 @@ struct DecodeOptions {
 absl::StatusOr<LatticeCloud> DecodePoints(std::span<const std::byte> bytes,
                                           const DecodeOptions& options = {});
 
+/// The attributes `names` of the block that fills `bytes`, without reading the
+/// positions or any other column: one value a point, in the block's order.
+/// Those that the block lacks are left out. Checks what it reads, and fails,
+/// as DecodePoints does.
+absl::StatusOr<ColumnSet> DecodeColumns(std::span<const std::byte> bytes,
+                                        const std::vector<std::string>& names);
+
 }  // namespace mapsieve::core
 
 #endif  // MAPSIEVE_CORE_CODEC_POINTS_CODEC_H_

@@ -8,9 +8,7 @@
 #include <map>
 #include <numbers>
 #include <optional>
-#include <set>
 #include <unordered_map>
-#include <unordered_set>
 #include <utility>
 
 #include "core/base/bulk_vector.h"
@@ -23,6 +21,14 @@
 
 namespace mapsieve::core {
 namespace {
+
+/// What both hold; of boxes that intersect.
+LatticeBox Intersection(const LatticeBox& a, const LatticeBox& b) {
+  return {{std::max(a.min.x, b.min.x), std::max(a.min.y, b.min.y),
+           std::max(a.min.z, b.min.z)},
+          {std::min(a.max.x, b.max.x), std::min(a.max.y, b.max.y),
+           std::min(a.max.z, b.max.z)}};
+}
 
 /// Points of one level of detail in one place: in a cell that the run made, or
 /// as they were before in a tile.
@@ -116,7 +122,7 @@ class DepthsRun {
     for (const TileInfo& tile : tiles_) known_tiles_.push_back(tile.key);
     if (previous_ == nullptr) return;
     const std::vector<CellKey> changed = previous_->ChangedTiles();
-    to_emit_.insert(changed.begin(), changed.end());
+    for (const CellKey& tile : changed) to_emit_.emplace(tile, 0);
     std::vector<CellKey> all;
     std::set_union(known_tiles_.begin(), known_tiles_.end(), changed.begin(),
                    changed.end(), std::back_inserter(all), CellKeyLess());
@@ -173,26 +179,31 @@ class DepthsRun {
                                   store_.LoadPoints(0, tile, now));
         now.resize(static_cast<size_t>(size));
       }
-      MAPSIEVE_RETURN_IF_ERROR(Compare(0, {&tile, 1}, now));
+      MAPSIEVE_RETURN_IF_ERROR(LoadBefore(0, {&tile, 1}));
+      Compare(0, now);
     }
     return absl::OkStatus();
   }
 
-  /// Notes where the points `now` of level `level` differ from those that the
-  /// adjacent `tiles` held.
-  absl::Status Compare(int level, std::span<const CellKey> tiles,
-                       std::span<const LatticePoint> now) {
+  /// Sets before_ to the points of level `level` that the adjacent `tiles`
+  /// held; none without a previous run.
+  absl::Status LoadBefore(int level, std::span<const CellKey> tiles) {
     before_.clear();
+    if (previous_ == nullptr) return absl::OkStatus();
     for (const CellKey& tile : tiles) {
       MAPSIEVE_RETURN_IF_ERROR(AppendPrevious(level, tile, before_));
     }
+    return absl::OkStatus();
+  }
+
+  /// Notes where the points `now` of level `level` differ from before_.
+  void Compare(int level, std::span<const LatticePoint> now) {
     std::optional<LatticeBox> box;
     ForEachDifference(now, before_, [&](const LatticePoint& q) {
       box = box.has_value() ? box->Union(BoxOf(q)) : BoxOf(q);
-      to_emit_.insert(CellKey::Of(q, known_tiles_[0].level));
+      to_emit_.emplace(CellKey::Of(q, known_tiles_[0].level), level);
     });
     if (box.has_value()) changes_.push_back(*box);
-    return absl::OkStatus();
   }
 
   absl::Status AppendPrevious(int level, const CellKey& tile,
@@ -219,7 +230,8 @@ class DepthsRun {
   }
 
   /// Makes those nodes of level `level` that lie within reach of a change of
-  /// the finer one, which `parts` are.
+  /// the finer one, which `parts` are: what is out of reach in them is as it
+  /// was.
   absl::Status MakeLevel(int level, int node_level,
                          std::vector<LevelPart> parts) {
     std::vector<CellKey> cells;
@@ -232,57 +244,98 @@ class DepthsRun {
     const int64_t radius_d2 = LevelRadiusD2(options_, lattice_, level);
     const int64_t radius = CeilRoot(radius_d2);
 
-    std::set<size_t> in_reach;
+    // The part of each node within reach.
+    std::map<size_t, std::vector<LatticeBox>> in_reach;
     for (size_t n = 0; n < cells.size() && previous_ == nullptr; ++n) {
-      in_reach.insert(in_reach.end(), n);
+      in_reach[n].push_back(cells[n].box());
     }
     for (const LatticeBox& change : std::exchange(changes_, {})) {
-      const std::vector<size_t> found = units.TilesIn(change.Grown(radius));
-      in_reach.insert(found.begin(), found.end());
+      const LatticeBox near = change.Grown(radius);
+      for (const size_t n : units.TilesIn(near)) {
+        in_reach[n].push_back(Intersection(near, cells[n].box()));
+      }
     }
     MadeLevel& made = levels_.emplace_back();
     made.node_level = node_level;
     std::vector<size_t> wanted;
-    for (const size_t n : in_reach) {
+    for (const auto& [n, boxes] : in_reach) {
       if (units.tiles()[n].point_count > 0) {
         wanted.push_back(n);
       } else {
+        MAPSIEVE_RETURN_IF_ERROR(LoadBefore(level, KnownTilesIn(cells[n])));
         MAPSIEVE_RETURN_IF_ERROR(AddNode(level, cells[n], {}, made));
       }
     }
     for (const PointUnits::Unit& unit :
          units.Group(wanted, tiling_.max_unit_points)) {
+      std::vector<LatticeBox> boxes;
+      for (const size_t n : unit) {
+        boxes.insert(boxes.end(), in_reach[n].begin(), in_reach[n].end());
+      }
       MAPSIEVE_ASSIGN_OR_RETURN(const LoadedUnit loaded,
-                                units.Load(unit, radius));
-      MAPSIEVE_RETURN_IF_ERROR(loaded.work->RunQuota(radius_d2, context_));
+                                units.Load(unit, boxes, radius));
+      WorkUnit& work = *loaded.work;
+      if (previous_ != nullptr) ChoosePoints(in_reach, loaded);
+      MAPSIEVE_RETURN_IF_ERROR(work.RunQuota(radius_d2, context_));
       for (const LoadedTile& tile : loaded.tiles) {
         if (!tile.is_core) continue;
-        MAPSIEVE_RETURN_IF_ERROR(AddNode(level, units.tiles()[tile.tile].key,
-                                         SurvivorsOf(tile, *loaded.work),
-                                         made));
+        const CellKey& node = cells[tile.tile];
+        MAPSIEVE_RETURN_IF_ERROR(LoadBefore(level, KnownTilesIn(node)));
+        MAPSIEVE_RETURN_IF_ERROR(
+            AddNode(level, node, MembersOf(tile, work), made));
       }
     }
     return absl::OkStatus();
   }
 
-  /// Valid until the next call.
-  std::span<const LatticePoint> SurvivorsOf(const LoadedTile& tile,
-                                            WorkUnit& work) {
-    survivors_.resize(tile.end - tile.begin);
-    size_t size = 0;
-    for (size_t i = tile.begin; i < tile.end; ++i) {
-      survivors_[size] = work.SurvivorPosition(i);
-      size += work.deaths()[i] == kAlive ? 1 : 0;
-    }
-    return std::span(survivors_).first(size);
+  /// Makes those points of the loaded nodes the unit's core that lie in the
+  /// boxes of their node.
+  void ChoosePoints(const std::map<size_t, std::vector<LatticeBox>>& boxes,
+                    const LoadedUnit& loaded) const {
+    WorkUnit& work = *loaded.work;
+    context_.executor->ParallelFor(
+        static_cast<int64_t>(loaded.tiles.size()), [&](int64_t t) {
+          const LoadedTile& tile = loaded.tiles[static_cast<size_t>(t)];
+          if (!tile.is_core) return;
+          const std::vector<LatticeBox>& of_node = boxes.at(tile.tile);
+          for (size_t i = tile.begin; i < tile.end; ++i) {
+            const LatticePoint q = work.Position(i);
+            work.core()[i] = std::any_of(of_node.begin(), of_node.end(),
+                                         [&](const LatticeBox& box) {
+                                           return box.Contains(q);
+                                         })
+                                 ? 1
+                                 : 0;
+          }
+        });
   }
 
+  /// The points of the level that was made in a node: of the unit's core those
+  /// that rule kQuota left, of the others those in before_. Valid until the
+  /// next call.
+  std::span<const LatticePoint> MembersOf(const LoadedTile& node,
+                                          WorkUnit& work) {
+    members_.resize(node.end - node.begin);
+    size_t size = 0;
+    size_t old = 0;
+    for (size_t i = node.begin; i < node.end; ++i) {
+      const LatticePoint q = work.SurvivorPosition(i);
+      members_[size] = q;
+      if (work.core()[i] != 0) {
+        size += work.deaths()[i] == kAlive ? 1 : 0;
+        continue;
+      }
+      while (old < before_.size() && MortonLess(before_[old], q)) ++old;
+      size += old < before_.size() && before_[old] == q ? 1 : 0;
+    }
+    return std::span(members_).first(size);
+  }
+
+  /// before_: what the node held.
   absl::Status AddNode(int level, const CellKey& node,
                        std::span<const LatticePoint> points, MadeLevel& made) {
     made.made[node] = static_cast<int64_t>(points.size());
-    if (previous_ != nullptr) {
-      MAPSIEVE_RETURN_IF_ERROR(Compare(level, KnownTilesIn(node), points));
-    }
+    if (previous_ != nullptr) Compare(level, points);
     return points.empty() ? absl::OkStatus()
                           : store_.StorePoints(level, node, points);
   }
@@ -310,38 +363,49 @@ class DepthsRun {
     BulkVector<LatticePoint> points;
     std::vector<uint8_t> depths;
     std::array<BulkVector<LatticePoint>, kMaxDepth> buffers;
-    std::array<std::span<const LatticePoint>, kMaxDepth> members;
     for (const TileInfo& tile : tiles_) {
-      if (previous_ != nullptr && !to_emit_.contains(tile.key)) continue;
+      size_t first = 0;
+      if (previous_ != nullptr) {
+        const auto found = to_emit_.find(tile.key);
+        if (found == to_emit_.end()) continue;
+        // What came to a level, or left it, is in the finer one, as it was.
+        first = static_cast<size_t>(std::max(found->second - 1, 0));
+      }
       MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
-      points.resize(static_cast<size_t>(tile.point_count));
-      MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
-                                store_.LoadPoints(0, tile.key, points));
-      for (size_t i = 0; i < members.size(); ++i) {
-        MAPSIEVE_ASSIGN_OR_RETURN(
-            members[i],
-            PointsIn(tile.key, static_cast<int>(i) + 1, buffers[i]));
+      std::array<std::span<const LatticePoint>, kMaxDepth + 1> levels;
+      for (size_t level = first; level <= kMaxDepth; ++level) {
+        if (level == 0) {
+          points.resize(static_cast<size_t>(tile.point_count));
+          MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
+                                    store_.LoadPoints(0, tile.key, points));
+          levels[0] = std::span(points).first(static_cast<size_t>(size));
+        } else {
+          MAPSIEVE_ASSIGN_OR_RETURN(
+              levels[level],
+              PointsIn(tile.key, static_cast<int>(level), buffers[level - 1]));
+        }
       }
       depths.clear();
-      for (size_t i = 0; i < static_cast<size_t>(size); ++i) {
+      for (const LatticePoint& q : levels[first]) {
         // Levels are nested and in one order: a point is the next of each
         // level that it is part of.
-        uint8_t depth = 0;
+        size_t depth = first;
         for (; depth < kMaxDepth; ++depth) {
-          std::span<const LatticePoint>& level = members[depth];
-          if (level.empty() || level.front() != points[i]) break;
+          std::span<const LatticePoint>& level = levels[depth + 1];
+          if (level.empty() || level.front() != q) break;
           level = level.subspan(1);
         }
-        depths.push_back(depth);
+        depths.push_back(static_cast<uint8_t>(depth));
       }
-      for (size_t i = 0; i < members.size(); ++i) {
-        if (!members[i].empty()) {
+      for (size_t level = first + 1; level <= kMaxDepth; ++level) {
+        if (!levels[level].empty()) {
           return absl::InternalError(
-              absl::StrCat("level ", i + 1, " holds a point that tile ",
+              absl::StrCat("level ", level, " holds a point that tile ",
                            tile.key.ToString(), " does not have"));
         }
       }
-      MAPSIEVE_RETURN_IF_ERROR(store_.EmitDepths(tile.key, depths));
+      MAPSIEVE_RETURN_IF_ERROR(
+          store_.EmitDepths(tile.key, static_cast<int>(first), depths));
     }
     return absl::OkStatus();
   }
@@ -388,13 +452,14 @@ class DepthsRun {
   const std::vector<TileInfo> tiles_;
   /// And those that hold no points any more, in Morton order.
   std::vector<CellKey> known_tiles_;
-  /// Changed tiles, and those with a difference in any level.
-  std::unordered_set<CellKey, CellKeyHash> to_emit_;
+  /// Changed tiles, at level 0, and those with a difference in any level, at
+  /// the first one.
+  std::unordered_map<CellKey, int, CellKeyHash> to_emit_;
   /// Boxes around the differences of the newest level.
   std::vector<LatticeBox> changes_;
   /// From level 1 on.
   std::vector<MadeLevel> levels_;
-  BulkVector<LatticePoint> survivors_;
+  BulkVector<LatticePoint> members_;
   BulkVector<LatticePoint> before_;
 };
 
@@ -429,7 +494,7 @@ class MemoryLevelStore final : public LevelStore {
     return absl::OkStatus();
   }
 
-  absl::Status EmitDepths(const CellKey&,
+  absl::Status EmitDepths(const CellKey&, int /*level*/,
                           std::span<const uint8_t> depths) override {
     depths_.insert(depths_.end(), depths.begin(), depths.end());
     return absl::OkStatus();

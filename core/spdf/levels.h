@@ -56,9 +56,10 @@ class LevelStore {
   virtual absl::Status StorePoints(int level, const CellKey& cell,
                                    std::span<const LatticePoint> points) = 0;
 
-  /// Takes the depth of each point of a tile; called once at most for each, in
-  /// their order.
-  virtual absl::Status EmitDepths(const CellKey& tile,
+  /// Takes the depth of each point of level `level` in a tile; called once at
+  /// most for each tile, in their order. Level 0 are all points; else the
+  /// others have the depths of before.
+  virtual absl::Status EmitDepths(const CellKey& tile, int level,
                                   std::span<const uint8_t> depths) = 0;
 };
 
@@ -84,10 +85,11 @@ class PreviousLevels {
 
 /// Computes the depths of the points of `store` and emits those of every tile,
 /// or, given the levels of `previous` points (of the same options), those of
-/// every changed tile and of every other one in which a depth changed. Only
-/// what lies within reach of a difference is made again: whether a point of
-/// level i is part of level i + 1 depends on the points of level i within the
-/// radius of level i + 1 and on nothing else.
+/// every changed tile and, from the first level that may have others on, of
+/// every other one in which a depth changed. Only what lies within reach of a
+/// difference is made again: whether a point of level i is part of level i + 1
+/// depends on the points of level i within the radius of level i + 1 and on
+/// nothing else.
 ///
 /// Level by level, units of nodes are loaded with a halo of their radius: a
 /// node is a cell of the tiles' level, one level coarser for each level of

@@ -142,7 +142,8 @@ void AnswerColumns::AddVector(const std::array<std::string_view, 3>& names,
                            std::vector<Column>& answer) -> absl::Status {
         MAPSIEVE_ASSIGN_OR_RETURN(
             const Column* const codes,
-            FindProductColumn(chunk, stored_name, ScalarType::kUint32));
+            FindProductColumn(chunk.attributes, stored_name,
+                              ScalarType::kUint32));
         const size_t first = AppendColumns(specs, rows.size(), answer);
         for (size_t i = 0; i < rows.size(); ++i) {
           const std::array<float, 3> v =
@@ -163,7 +164,7 @@ void AnswerColumns::AddCopy(const ColumnSpec& spec,
                           std::vector<Column>& answer) -> absl::Status {
         MAPSIEVE_ASSIGN_OR_RETURN(
             const Column* const stored,
-            FindProductColumn(chunk, stored_name, spec.type));
+            FindProductColumn(chunk.attributes, stored_name, spec.type));
         answer.push_back(stored->Select(rows));
         answer.back().Rename(spec.name);
         return absl::OkStatus();
@@ -177,9 +178,9 @@ void AnswerColumns::AddSaliencies() {
               std::vector<Column>& answer) -> absl::Status {
         std::array<const Column*, 3> lambda{};
         for (size_t l = 0; l < lambda.size(); ++l) {
-          MAPSIEVE_ASSIGN_OR_RETURN(lambda[l],
-                                    FindProductColumn(chunk, kLambdaColumns[l],
-                                                      ScalarType::kFloat32));
+          MAPSIEVE_ASSIGN_OR_RETURN(
+              lambda[l], FindProductColumn(chunk.attributes, kLambdaColumns[l],
+                                           ScalarType::kFloat32));
         }
         const size_t first = AppendColumns(specs, rows.size(), answer);
         for (size_t i = 0; i < rows.size(); ++i) {
@@ -202,13 +203,15 @@ void AnswerColumns::AddCovariance() {
       [specs](const LatticeCloud& chunk, std::span<const uint32_t> rows,
               std::vector<Column>& answer) -> absl::Status {
         MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView labels,
-                                  LabelColumnView::Of(chunk));
+                                  LabelColumnView::Of(chunk.attributes));
         MAPSIEVE_ASSIGN_OR_RETURN(
             const Column* const normal,
-            FindProductColumn(chunk, kNormalColumn, ScalarType::kUint32));
+            FindProductColumn(chunk.attributes, kNormalColumn,
+                              ScalarType::kUint32));
         MAPSIEVE_ASSIGN_OR_RETURN(
             const Column* const tangent,
-            FindProductColumn(chunk, kTangentColumn, ScalarType::kUint32));
+            FindProductColumn(chunk.attributes, kTangentColumn,
+                              ScalarType::kUint32));
         const size_t first = AppendColumns(specs, rows.size(), answer);
         const auto covariance = [&](uint32_t row) -> std::array<float, 6> {
           switch (labels.label(row)) {
@@ -245,7 +248,8 @@ void AnswerColumns::AddFilterColumns(const ColumnSelection& selection) {
                std::vector<Column>& answer) -> absl::Status {
           MAPSIEVE_ASSIGN_OR_RETURN(
               const Column* const stored,
-              FindProductColumn(chunk, kConfidenceColumn, ScalarType::kUint16));
+              FindProductColumn(chunk.attributes, kConfidenceColumn,
+                                ScalarType::kUint16));
           Column& column = answer.emplace_back(spec, rows.size());
           for (size_t i = 0; i < rows.size(); ++i) {
             column.Set(i,
@@ -279,7 +283,8 @@ void AnswerColumns::AddAttribute(const ColumnSpec& attribute,
           return absl::OkStatus();
         }
         MAPSIEVE_RETURN_IF_ERROR(
-            FindProductColumn(chunk, attribute.name, spec.type).status());
+            FindProductColumn(chunk.attributes, attribute.name, spec.type)
+                .status());
         answer.push_back(stored->Select(rows));
         answer.back().Rename(spec.name);
         return absl::OkStatus();

@@ -21,6 +21,18 @@ bool IsBefore(const core::LatticePoint& a, const core::LatticePoint& b) {
   return core::MortonLess(a, b);
 }
 
+/// What decoding a chunk came to: `status`, or kDataLoss if it has not as many
+/// points as the catalogue says, with where the chunk is.
+absl::Status CheckDecoded(const storage::ReadSnapshot& snapshot,
+                          const storage::ChunkRef& chunk, absl::Status status,
+                          size_t point_count) {
+  if (status.ok() && point_count != static_cast<size_t>(chunk.point_count)) {
+    status = absl::DataLossError(absl::StrCat("expected ", chunk.point_count,
+                                              " points, found ", point_count));
+  }
+  return status.ok() ? status : Annotate(status, snapshot.Describe(chunk));
+}
+
 }  // namespace
 
 absl::StatusOr<core::LatticeCloud> ReadPoints(
@@ -30,17 +42,26 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
                             snapshot.ReadChunk(chunk));
   absl::StatusOr<core::LatticeCloud> points =
       core::DecodePoints(block, options);
-  absl::Status status = points.status();
-  if (status.ok() && points->size() != static_cast<size_t>(chunk.point_count)) {
-    status = absl::DataLossError(absl::StrCat(
-        "expected ", chunk.point_count, " points, found ", points->size()));
-  }
-  if (!status.ok()) return Annotate(status, snapshot.Describe(chunk));
+  MAPSIEVE_RETURN_IF_ERROR(CheckDecoded(snapshot, chunk, points.status(),
+                                        points.ok() ? points->size() : 0));
   if (std::is_sorted(points->positions.begin(), points->positions.end(),
                      IsBefore)) {
     return points;
   }
   return points->Select(core::MortonOrder(points->positions));
+}
+
+absl::StatusOr<core::ColumnSet> ReadColumns(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
+    const std::vector<std::string>& names) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
+                            snapshot.ReadChunk(chunk));
+  absl::StatusOr<core::ColumnSet> columns = core::DecodeColumns(block, names);
+  const bool has_any = columns.ok() && !columns->columns().empty();
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckDecoded(snapshot, chunk, columns.status(),
+                   has_any ? columns->columns().front().size() : 0));
+  return columns;
 }
 
 absl::StatusOr<core::LatticeCloud> ReadPoints(

@@ -2,6 +2,7 @@
 #define MAPSIEVE_SERVER_ENGINE_CHUNK_READER_H_
 
 #include <span>
+#include <string>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -17,6 +18,12 @@ namespace mapsieve::engine {
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options = {});
+
+/// The attributes `names` of a chunk's points, in the chunk's order and without
+/// decoding anything else: one or more, which it has. Errors of ReadPoints.
+absl::StatusOr<core::ColumnSet> ReadColumns(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
+    const std::vector<std::string>& names);
 
 /// The points of some chunks of a tile together, in Morton order. Errors of
 /// the other ReadPoints.

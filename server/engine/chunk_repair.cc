@@ -48,7 +48,7 @@ absl::Status ChunkRepair::PutCloud(const TileCloud& cloud) const {
   const auto tile = product_.find(cloud.tile);
   if (tile == product_.end()) return absl::OkStatus();
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
-                            DepthsOf(cloud.points));
+                            DepthsOf(cloud.points.attributes));
   const size_t group = DepthGroupOf(depths.front());
   const std::vector<uint32_t> order = core::MortonOrder(cloud.points.positions);
   size_t begin = 0;

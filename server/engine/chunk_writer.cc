@@ -78,9 +78,10 @@ absl::StatusOr<ChunkRef> DescribeChunk(storage::ChunkKind kind,
                     .point_count = static_cast<int64_t>(points.size()),
                     .bounds = TightBox(points.positions)};
   if (kind == storage::ChunkKind::kProduct) {
-    MAPSIEVE_ASSIGN_OR_RETURN(chunk.label_counts, CountLabels(points));
+    MAPSIEVE_ASSIGN_OR_RETURN(chunk.label_counts,
+                              CountLabels(points.attributes));
     MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
-                              DepthsOf(points));
+                              DepthsOf(points.attributes));
     const auto [min, max] = std::minmax_element(depths.begin(), depths.end());
     chunk.min_depth = *min;
     chunk.max_depth = *max;

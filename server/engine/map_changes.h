@@ -4,18 +4,16 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "core/base/executor.h"
-#include "core/spdf/tile_update.h"
+#include "core/geometry/cell_key.h"
 #include "storage/store.h"
 
 namespace mapsieve::engine {
 
-/// The tiles whose raw points or attributes differ between two revisions of a
-/// map, in Morton order. Reads the raw chunks of tiles whose chunks differ, one
-/// tile for each worker at a time. Errors of storage; kCancelled.
-absl::StatusOr<std::vector<core::TileChange>> FindChanges(
+/// The tiles whose raw chunks hold something else at one revision of a map than
+/// at another, in Morton order. Reads no chunk. Errors of storage.
+absl::StatusOr<std::vector<core::CellKey>> FindChangedTiles(
     const storage::Catalogue& catalogue, const storage::ReadSnapshot& before,
-    const storage::ReadSnapshot& now, const ExecutionContext& context);
+    const storage::ReadSnapshot& now);
 
 }  // namespace mapsieve::engine
 

@@ -109,9 +109,9 @@ absl::StatusOr<PointFilter::Passed> PointFilter::Select(
   std::optional<LabelColumnView> labels;
   std::vector<uint8_t> depths;
   if (outliers_.has_value()) {
-    MAPSIEVE_ASSIGN_OR_RETURN(labels, LabelColumnView::Of(points));
+    MAPSIEVE_ASSIGN_OR_RETURN(labels, LabelColumnView::Of(points.attributes));
     if (min_depth_ > 0) {
-      MAPSIEVE_ASSIGN_OR_RETURN(depths, DepthsOf(points));
+      MAPSIEVE_ASSIGN_OR_RETURN(depths, DepthsOf(points.attributes));
     }
   }
   const bool is_within =

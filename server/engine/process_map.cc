@@ -16,7 +16,6 @@
 #include "core/spdf/tile_update.h"
 #include "server/engine/chunk_reader.h"
 #include "server/engine/chunk_walk.h"
-#include "server/engine/confidence_histogram.h"
 #include "server/engine/map_changes.h"
 #include "server/engine/opaque_records.h"
 #include "server/engine/product_chunk.h"
@@ -44,14 +43,14 @@ struct ProductTotals {
   int64_t survivor_count = 0;
   int round_count = 0;
   core::MaxConfidence max_confidence{};
-  core::LabelCounts kept{};
 };
 
 /// The previous product, if what changed since can be filtered by itself.
 struct Previous {
   std::shared_ptr<const ReadSnapshot> snapshot;
   ProcessReport report;
-  std::vector<core::TileChange> changes;
+  /// Tiles that hold something else now.
+  std::vector<core::CellKey> changed_tiles;
 };
 
 /// Calls use(chunk) for all chunks of a kind.
@@ -67,21 +66,28 @@ absl::Status ForEachChunk(
   }
 }
 
-/// Adds the points of a product chunk to `histogram`.
-absl::Status CountConfidences(const ReadSnapshot& snapshot,
-                              const ChunkRef& chunk,
-                              ConfidenceHistogram& histogram) {
-  MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud points,
-                            ReadPoints(snapshot, chunk,
-                                       {.attributes = std::vector<std::string>{
-                                            std::string(kLabelColumn),
-                                            std::string(kConfidenceColumn)}}));
+/// The larger one of each label.
+core::MaxConfidence Larger(core::MaxConfidence a,
+                           const core::MaxConfidence& b) {
+  for (size_t l = 0; l < core::kLabelCount; ++l) a[l] = std::max(a[l], b[l]);
+  return a;
+}
+
+/// Of the points of a product chunk.
+absl::StatusOr<core::MaxConfidence> MaxConfidenceOf(
+    const ReadSnapshot& snapshot, const ChunkRef& chunk) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const core::ColumnSet columns,
+      ReadColumns(snapshot, chunk,
+                  {std::string(kLabelColumn), std::string(kConfidenceColumn)}));
   MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView labels,
-                            LabelColumnView::Of(points));
-  for (size_t i = 0; i < points.size(); ++i) {
-    histogram.Add(labels.label(i), labels.confidence(i));
+                            LabelColumnView::Of(columns));
+  core::MaxConfidence largest{};
+  for (size_t i = 0; i < labels.size(); ++i) {
+    uint16_t& of_label = largest[static_cast<size_t>(labels.label(i))];
+    of_label = std::max(of_label, labels.confidence(i));
   }
-  return absl::OkStatus();
+  return largest;
 }
 
 /// Tells the progress of the filter and of the levels of detail after it as
@@ -170,9 +176,9 @@ class MapRun {
       return std::nullopt;
     }
     MAPSIEVE_ASSIGN_OR_RETURN(
-        previous.changes, FindChanges(store_.catalogue(), *previous.snapshot,
-                                      snapshot_, context_));
-    if (2 * static_cast<int64_t>(previous.changes.size()) >
+        previous.changed_tiles,
+        FindChangedTiles(store_.catalogue(), *previous.snapshot, snapshot_));
+    if (2 * static_cast<int64_t>(previous.changed_tiles.size()) >
         then.totals.tile_count) {
       return std::nullopt;
     }
@@ -189,13 +195,10 @@ class MapRun {
         const core::SpdfSummary summary,
         core::FilterTiles(*tiles_, lattice_, options_, tiling_, context_));
     MAPSIEVE_RETURN_IF_ERROR(tiles_->Flush());
-    const ProductTotals totals = {
-        .distinct_point_count = summary.point_count,
-        .survivor_count = summary.survivor_count,
-        .round_count = summary.round_count,
-        .max_confidence = summary.max_confidence,
-        .kept = tiles_->histogram().CountKept(
-            core::OutlierTest(summary.max_confidence, options_.outlier_share))};
+    const ProductTotals totals = {.distinct_point_count = summary.point_count,
+                                  .survivor_count = summary.survivor_count,
+                                  .round_count = summary.round_count,
+                                  .max_confidence = summary.max_confidence};
     return Commit(totals, {.removes_product = true}, nullptr);
   }
 
@@ -203,15 +206,17 @@ class MapRun {
   absl::StatusOr<ProcessReport> Update(const Previous& previous) {
     MAPSIEVE_RETURN_IF_ERROR(OpenTiles(&previous, nullptr));
     MAPSIEVE_ASSIGN_OR_RETURN(
+        const std::vector<core::TileChange> changes,
+        tiles_->CompareTiles(previous.changed_tiles, context_));
+    MAPSIEVE_ASSIGN_OR_RETURN(
         const core::UpdateSummary update,
-        core::UpdateTiles(*tiles_, *tiles_, previous.changes, lattice_,
-                          options_, tiling_, context_));
+        core::UpdateTiles(*tiles_, *tiles_, changes, lattice_, options_,
+                          tiling_, context_));
     MAPSIEVE_RETURN_IF_ERROR(tiles_->Flush());
     std::unordered_set<core::CellKey, core::CellKeyHash> replaced =
         tiles_->emitted();
-    for (const core::TileChange& change : previous.changes) {
-      replaced.insert(change.tile);
-    }
+    replaced.insert(previous.changed_tiles.begin(),
+                    previous.changed_tiles.end());
 
     const storage::ProductSummary& before =
         *previous.snapshot->revision().spec.product;
@@ -224,7 +229,8 @@ class MapRun {
         .round_count =
             std::max(previous.report.round_count, update.emitted.round_count)};
     storage::RevisionChange change;
-    ConfidenceHistogram gone;
+    std::vector<ChunkRef> gone;
+    std::vector<ChunkRef> kept;
     MAPSIEVE_RETURN_IF_ERROR(ForEachChunk(
         snapshot_, ChunkKind::kHistory, [&](const ChunkRef& chunk) {
           if (replaced.contains(chunk.tile)) {
@@ -237,12 +243,16 @@ class MapRun {
         snapshot_, ChunkKind::kProduct, [&](const ChunkRef& chunk) {
           const bool is_kept = !replaced.contains(chunk.tile);
           levels_->AddPrevious(chunk, is_kept);
+          (is_kept ? kept : gone).push_back(chunk);
           if (is_kept) return absl::OkStatus();
           change.removed.push_back(chunk.number);
           totals.survivor_count -= chunk.point_count;
-          return CountConfidences(snapshot_, chunk, gone);
+          return absl::OkStatus();
         }));
-    MAPSIEVE_RETURN_IF_ERROR(CountOutliers(before, gone, replaced, totals));
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        totals.max_confidence,
+        UpdateMaxConfidences(before.max_confidence,
+                             update.emitted.max_confidence, gone, kept));
     return Commit(totals, std::move(change), &previous);
   }
 
@@ -270,8 +280,6 @@ class MapRun {
         tiles_, StoredTiles::Open(
                     store_, snapshot_,
                     previous == nullptr ? nullptr : previous->snapshot.get(),
-                    previous == nullptr ? std::span<const core::TileChange>()
-                                        : std::span(previous->changes),
                     *scratch_, *levels_,
                     {.max_pending_bytes = limits_.pending_bytes,
                      .io = &io_,
@@ -301,44 +309,41 @@ class MapRun {
     return absl::OkStatus();
   }
 
-  /// Sets the largest confidences and the counts of kept points: from those of
-  /// before and the difference if no largest confidence changed, else from all
-  /// confidences. `gone`: the product of before of the `replaced` tiles.
-  absl::Status CountOutliers(
-      const storage::ProductSummary& before, const ConfidenceHistogram& gone,
-      const std::unordered_set<core::CellKey, core::CellKeyHash>& replaced,
-      ProductTotals& totals) {
-    const ConfidenceHistogram& added = tiles_->histogram();
-    const core::MaxConfidence max_gone = gone.MaxConfidences();
-    const core::MaxConfidence max_added = added.MaxConfidences();
-    bool is_same = true;
-    for (size_t l = 0; l < core::kLabelCount; ++l) {
-      const uint16_t max = before.max_confidence[l];
-      is_same &=
-          max_added[l] <= max && (max_gone[l] < max || max_added[l] == max);
-    }
-    const auto test_with = [&](const core::MaxConfidence& max_confidence) {
-      return core::OutlierTest(max_confidence, options_.outlier_share);
-    };
-    if (is_same) {
-      totals.max_confidence = before.max_confidence;
-      const core::OutlierTest test = test_with(before.max_confidence);
-      const core::LabelCounts kept_gone = gone.CountKept(test);
-      const core::LabelCounts kept_added = added.CountKept(test);
-      for (size_t l = 0; l < core::kLabelCount; ++l) {
-        totals.kept[l] = before.kept_counts[l] - kept_gone[l] + kept_added[l];
-      }
-      return absl::OkStatus();
-    }
-    ConfidenceHistogram all = added;
-    MAPSIEVE_RETURN_IF_ERROR(ForEachChunk(
-        snapshot_, ChunkKind::kProduct, [&](const ChunkRef& chunk) {
-          if (replaced.contains(chunk.tile)) return absl::OkStatus();
-          return CountConfidences(snapshot_, chunk, all);
+  /// Of the points of product chunks.
+  absl::StatusOr<core::MaxConfidence> MaxConfidenceOfAll(
+      std::span<const ChunkRef> chunks) const {
+    std::vector<core::MaxConfidence> of_chunk(chunks.size());
+    MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
+        io_, static_cast<int64_t>(chunks.size()),
+        [&](int64_t n) -> absl::Status {
+          MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+          const auto i = static_cast<size_t>(n);
+          MAPSIEVE_ASSIGN_OR_RETURN(of_chunk[i],
+                                    MaxConfidenceOf(snapshot_, chunks[i]));
+          return absl::OkStatus();
         }));
-    totals.max_confidence = all.MaxConfidences();
-    totals.kept = all.CountKept(test_with(totals.max_confidence));
-    return absl::OkStatus();
+    return std::accumulate(of_chunk.begin(), of_chunk.end(),
+                           core::MaxConfidence{}, Larger);
+  }
+
+  /// The largest confidences after those of `before` and `added`, without the
+  /// chunks that are `gone`: what the `kept` ones hold is read only where a
+  /// label may have lost its largest.
+  absl::StatusOr<core::MaxConfidence> UpdateMaxConfidences(
+      const core::MaxConfidence& before, const core::MaxConfidence& added,
+      std::span<const ChunkRef> gone, std::span<const ChunkRef> kept) const {
+    const core::MaxConfidence largest = Larger(before, added);
+    if (largest == added) return largest;
+    MAPSIEVE_ASSIGN_OR_RETURN(const core::MaxConfidence max_gone,
+                              MaxConfidenceOfAll(gone));
+    bool is_lost = false;
+    for (size_t l = 0; l < core::kLabelCount; ++l) {
+      is_lost |= max_gone[l] == before[l] && added[l] < before[l];
+    }
+    if (!is_lost) return largest;
+    MAPSIEVE_ASSIGN_OR_RETURN(const core::MaxConfidence max_kept,
+                              MaxConfidenceOfAll(kept));
+    return Larger(max_kept, added);
   }
 
   /// `previous`: null for none.
@@ -368,15 +373,15 @@ class MapRun {
     MAPSIEVE_RETURN_IF_ERROR(WriteLevels(previous));
     MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
     const storage::RevisionRecord& base = snapshot_.revision();
+    const core::LabelCounts& kept = levels_->level_counts().front();
     ProcessReport report = {
         .revision = base.number + 1,
         .distinct_point_count = totals.distinct_point_count,
-        .label_counts = totals.kept,
+        .label_counts = kept,
         .level_counts = levels_->level_counts(),
         .round_count = totals.round_count,
         .updated_tile_count = static_cast<int64_t>(tiles_->emitted().size())};
-    report.point_count =
-        std::accumulate(totals.kept.begin(), totals.kept.end(), int64_t{0});
+    report.point_count = std::accumulate(kept.begin(), kept.end(), int64_t{0});
     report.outlier_count = totals.survivor_count - report.point_count;
     change.spec = {.kind = storage::RevisionKind::kProcess,
                    .description = FormatProcessReport(report),
@@ -384,7 +389,7 @@ class MapRun {
                    .product = storage::ProductSummary{
                        .options = FormatSpdfOptions(options_),
                        .distinct_point_count = totals.distinct_point_count,
-                       .kept_counts = totals.kept,
+                       .kept_counts = kept,
                        .max_confidence = totals.max_confidence}};
     change.added = levels_->chunks();
     change.added.insert(change.added.end(), tiles_->chunks().begin(),

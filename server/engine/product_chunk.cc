@@ -75,12 +75,13 @@ std::array<LatticeCloud, kDepthGroups.size()> SplitByDepth(
   return groups;
 }
 
-absl::StatusOr<std::vector<uint8_t>> DepthsOf(const LatticeCloud& points) {
+absl::StatusOr<std::vector<uint8_t>> DepthsOf(const core::ColumnSet& columns) {
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Column* const column,
-      FindProductColumn(points, kDepthColumn, ScalarType::kUint8));
+      FindProductColumn(columns, kDepthColumn, ScalarType::kUint8));
   std::vector<uint8_t> depths;
-  for (size_t i = 0; i < points.size(); ++i) {
+  depths.reserve(column->size());
+  for (size_t i = 0; i < column->size(); ++i) {
     depths.push_back(column->Get<uint8_t>(i));
     if (depths.back() > core::kMaxDepth) {
       return absl::DataLossError(absl::StrCat(
@@ -101,10 +102,10 @@ int64_t ProductPointBytes(std::span<const core::ColumnSpec> attributes) {
   return bytes;
 }
 
-absl::StatusOr<const Column*> FindProductColumn(const LatticeCloud& points,
+absl::StatusOr<const Column*> FindProductColumn(const core::ColumnSet& columns,
                                                 std::string_view name,
                                                 ScalarType type) {
-  const Column* column = points.attributes.Find(name);
+  const Column* column = columns.Find(name);
   if (column == nullptr || column->type() != type) {
     return absl::DataLossError(absl::StrCat(
         "column ", ToAbsl(name), " of a product chunk: expected ",
@@ -117,19 +118,19 @@ absl::StatusOr<const Column*> FindProductColumn(const LatticeCloud& points,
 
 absl::StatusOr<core::LabelColumns> LabelColumnsOf(const LatticeCloud& points) {
   MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView view,
-                            LabelColumnView::Of(points));
+                            LabelColumnView::Of(points.attributes));
   std::array<const Column*, kLambdaColumns.size()> lambda;
   for (size_t l = 0; l < lambda.size(); ++l) {
     MAPSIEVE_ASSIGN_OR_RETURN(
-        lambda[l],
-        FindProductColumn(points, kLambdaColumns[l], ScalarType::kFloat32));
+        lambda[l], FindProductColumn(points.attributes, kLambdaColumns[l],
+                                     ScalarType::kFloat32));
   }
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Column* const normal,
-      FindProductColumn(points, kNormalColumn, ScalarType::kUint32));
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const Column* const tangent,
-      FindProductColumn(points, kTangentColumn, ScalarType::kUint32));
+      FindProductColumn(points.attributes, kNormalColumn, ScalarType::kUint32));
+  MAPSIEVE_ASSIGN_OR_RETURN(const Column* const tangent,
+                            FindProductColumn(points.attributes, kTangentColumn,
+                                              ScalarType::kUint32));
   core::LabelColumns columns;
   columns.Resize(points.size());
   for (size_t i = 0; i < points.size(); ++i) {
@@ -145,23 +146,23 @@ absl::StatusOr<core::LabelColumns> LabelColumnsOf(const LatticeCloud& points) {
 }
 
 absl::StatusOr<LabelColumnView> LabelColumnView::Of(
-    const LatticeCloud& points) {
-  MAPSIEVE_RETURN_IF_ERROR(CountLabels(points).status());
+    const core::ColumnSet& columns) {
+  MAPSIEVE_RETURN_IF_ERROR(CountLabels(columns).status());
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Column* const label,
-      FindProductColumn(points, kLabelColumn, ScalarType::kUint8));
+      FindProductColumn(columns, kLabelColumn, ScalarType::kUint8));
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Column* const confidence,
-      FindProductColumn(points, kConfidenceColumn, ScalarType::kUint16));
+      FindProductColumn(columns, kConfidenceColumn, ScalarType::kUint16));
   return LabelColumnView(*label, *confidence);
 }
 
-absl::StatusOr<core::LabelCounts> CountLabels(const LatticeCloud& points) {
+absl::StatusOr<core::LabelCounts> CountLabels(const core::ColumnSet& columns) {
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Column* const column,
-      FindProductColumn(points, kLabelColumn, ScalarType::kUint8));
+      FindProductColumn(columns, kLabelColumn, ScalarType::kUint8));
   core::LabelCounts counts{};
-  for (size_t i = 0; i < points.size(); ++i) {
+  for (size_t i = 0; i < column->size(); ++i) {
     const auto label = column->Get<uint8_t>(i);
     if (label >= core::kLabelCount) {
       return absl::DataLossError(absl::StrCat(

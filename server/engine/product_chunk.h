@@ -49,9 +49,9 @@ size_t DepthGroupOf(int depth);
 std::array<core::LatticeCloud, kDepthGroups.size()> SplitByDepth(
     core::LatticeCloud product, std::span<const uint8_t> depths);
 
-/// kDepthColumn of the product points; kDataLoss: not there, or a number in it
-/// that is no depth.
-absl::StatusOr<std::vector<uint8_t>> DepthsOf(const core::LatticeCloud& points);
+/// kDepthColumn of product points; kDataLoss: not there, or a number in it that
+/// is no depth.
+absl::StatusOr<std::vector<uint8_t>> DepthsOf(const core::ColumnSet& columns);
 
 /// An upper bound of the memory of a decoded point of a product whose points
 /// have `attributes`.
@@ -64,7 +64,7 @@ core::LatticeCloud MakeProductCloud(core::LatticeCloud points,
 /// The column of product points named `name`; kDataLoss if it is not there or
 /// not of type `type`.
 absl::StatusOr<const core::Column*> FindProductColumn(
-    const core::LatticeCloud& points, std::string_view name,
+    const core::ColumnSet& columns, std::string_view name,
     core::ScalarType type);
 
 /// kLabelColumn, kConfidenceColumn, kLambdaColumns, kNormalColumn and
@@ -73,12 +73,13 @@ absl::StatusOr<const core::Column*> FindProductColumn(
 absl::StatusOr<core::LabelColumns> LabelColumnsOf(
     const core::LatticeCloud& points);
 
-/// Labels and confidences of product points, which outlive it.
+/// Labels and confidences of product points, whose columns outlive it.
 class LabelColumnView {
  public:
   /// kDataLoss: a column is missing, or a number in it is no label.
-  static absl::StatusOr<LabelColumnView> Of(const core::LatticeCloud& points);
+  static absl::StatusOr<LabelColumnView> Of(const core::ColumnSet& columns);
 
+  size_t size() const { return label_->size(); }
   core::Label label(size_t i) const {
     return static_cast<core::Label>(label_->Get<uint8_t>(i));
   }
@@ -94,7 +95,7 @@ class LabelColumnView {
 
 /// How many of the product points have each label. kDataLoss: no label column,
 /// or a number in it that is no label.
-absl::StatusOr<core::LabelCounts> CountLabels(const core::LatticeCloud& points);
+absl::StatusOr<core::LabelCounts> CountLabels(const core::ColumnSet& columns);
 
 }  // namespace mapsieve::engine
 

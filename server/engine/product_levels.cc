@@ -24,6 +24,15 @@ std::string LevelName(int level, const CellKey& cell) {
   return "level-" + std::to_string(level) + "-" + cell.ToString();
 }
 
+/// The points of this level and above, which one group of depths holds, are
+/// kept when that was read: every coarser level asks for them.
+constexpr int kCoarseLevel = kDepthGroups.front().min + 1;
+
+/// The group of depths of the chunk holds some of level `level`.
+bool IsInGroupOf(const ChunkRef& chunk, int level) {
+  return kDepthGroups[DepthGroupOf(chunk.max_depth)].max >= level;
+}
+
 /// No attributes but `names`.
 core::DecodeOptions Only(std::initializer_list<std::string_view> names) {
   return {.attributes = std::vector<std::string>(names.begin(), names.end())};
@@ -64,7 +73,7 @@ void ProductLevels::AddPrevious(const ChunkRef& chunk, bool is_kept) {
   Tile& tile = tiles_[chunk.tile];
   tile.is_kept = is_kept;
   if (is_kept) tile.point_count += chunk.point_count;
-  tile.before.push_back(chunk);
+  tile.before.push_back({.ref = chunk});
 }
 
 void ProductLevels::StartCounts(
@@ -95,8 +104,8 @@ int64_t ProductLevels::CountAtMost(int level, const CellKey& tile) const {
   const auto found = tiles_.find(tile);
   if (found == tiles_.end()) return 0;
   int64_t count = 0;
-  for (const ChunkRef& chunk : found->second.before) {
-    if (chunk.max_depth >= level) count += chunk.point_count;
+  for (const PreviousChunk& chunk : found->second.before) {
+    if (chunk.ref.max_depth >= level) count += chunk.ref.point_count;
   }
   return count;
 }
@@ -115,10 +124,10 @@ absl::StatusOr<LatticeCloud> ProductLevels::LoadNow(
 absl::StatusOr<LatticeCloud> ProductLevels::LoadBefore(
     const CellKey& tile, int min_depth,
     const core::DecodeOptions& options) const {
-  std::vector<ChunkRef> chunks = tiles_.at(tile).before;
-  std::erase_if(chunks, [&](const ChunkRef& chunk) {
-    return chunk.max_depth < min_depth;
-  });
+  std::vector<ChunkRef> chunks;
+  for (const PreviousChunk& chunk : tiles_.at(tile).before) {
+    if (chunk.ref.max_depth >= min_depth) chunks.push_back(chunk.ref);
+  }
   MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud points,
                             ReadPoints(snapshot_, chunks, options));
   const bool holds_finer = std::any_of(
@@ -126,7 +135,7 @@ absl::StatusOr<LatticeCloud> ProductLevels::LoadBefore(
       [&](const ChunkRef& chunk) { return chunk.min_depth < min_depth; });
   if (!holds_finer) return points;
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
-                            DepthsOf(points));
+                            DepthsOf(points.attributes));
   std::vector<uint32_t> rows;
   for (uint32_t row = 0; row < depths.size(); ++row) {
     if (depths[row] >= min_depth) rows.push_back(row);
@@ -155,10 +164,57 @@ absl::StatusOr<int64_t> ProductLevels::LoadPoints(
 
 absl::StatusOr<int64_t> ProductLevels::Load(int level, const CellKey& tile,
                                             std::span<LatticePoint> room) {
+  const auto copy_level = [&](std::span<const LatticePoint> positions,
+                              std::span<const uint8_t> depths) {
+    size_t count = 0;
+    for (size_t i = 0; i < positions.size(); ++i) {
+      if (depths[i] >= level) room[count++] = positions[i];
+    }
+    return static_cast<int64_t>(count);
+  };
+  if (level >= kCoarseLevel) {
+    const CoarsePoints* const kept = FindCoarse(tile);
+    if (kept != nullptr) return copy_level(kept->positions, kept->depths);
+  }
+  const int min_depth = std::min(level, kDepthGroups.front().min);
   MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud points,
-                            LoadBefore(tile, level, Only({kDepthColumn})));
-  std::copy(points.positions.begin(), points.positions.end(), room.begin());
-  return static_cast<int64_t>(points.size());
+                            LoadBefore(tile, min_depth, Only({kDepthColumn})));
+  if (points.size() == 0) return 0;
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
+                            DepthsOf(points.attributes));
+  if (min_depth == kDepthGroups.front().min) {
+    KeepCoarse(tile, points.positions, depths);
+  }
+  return copy_level(points.positions, depths);
+}
+
+/// Null: they were not read yet, or had no room.
+const ProductLevels::CoarsePoints* ProductLevels::FindCoarse(
+    const CellKey& tile) const {
+  const MutexLock lock(mutex_);
+  const auto found = coarse_.find(tile);
+  return found == coarse_.end() ? nullptr : &found->second;
+}
+
+/// Keeps those of the points that are coarse, if there is room for them.
+void ProductLevels::KeepCoarse(const CellKey& tile,
+                               std::span<const LatticePoint> positions,
+                               std::span<const uint8_t> depths) {
+  CoarsePoints kept;
+  for (size_t i = 0; i < positions.size(); ++i) {
+    if (depths[i] < kCoarseLevel) continue;
+    kept.positions.push_back(positions[i]);
+    kept.depths.push_back(depths[i]);
+  }
+  kept.positions.shrink_to_fit();
+  kept.depths.shrink_to_fit();
+  // With what the map needs for an entry.
+  const auto bytes = static_cast<int64_t>(
+      sizeof(CellKey) + sizeof(CoarsePoints) + 4 * sizeof(void*) +
+      kept.positions.size() * (sizeof(LatticePoint) + 1));
+  const MutexLock lock(mutex_);
+  if (coarse_bytes_ + bytes > options_.max_pending_bytes) return;
+  if (coarse_.emplace(tile, std::move(kept)).second) coarse_bytes_ += bytes;
 }
 
 absl::Status ProductLevels::StorePoints(int level, const CellKey& cell,
@@ -188,19 +244,18 @@ LevelCounts ProductLevels::CountLevels(const LabelColumnView& labels,
   return counts;
 }
 
-/// Of one tile as it was.
-absl::StatusOr<LevelCounts> ProductLevels::CountLevelsBefore(
-    const CellKey& tile) const {
-  LevelCounts counts{};
-  if (tiles_.at(tile).before.empty()) return counts;
+/// Of one chunk of before.
+absl::StatusOr<LevelCounts> ProductLevels::CountLevelsOf(
+    const ChunkRef& chunk) const {
   MAPSIEVE_ASSIGN_OR_RETURN(
-      const LatticeCloud points,
-      LoadBefore(tile, 0,
-                 Only({kDepthColumn, kLabelColumn, kConfidenceColumn})));
+      const core::ColumnSet columns,
+      ReadColumns(snapshot_, chunk,
+                  {std::string(kDepthColumn), std::string(kLabelColumn),
+                   std::string(kConfidenceColumn)}));
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> depths,
-                            DepthsOf(points));
+                            DepthsOf(columns));
   MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView labels,
-                            LabelColumnView::Of(points));
+                            LabelColumnView::Of(columns));
   return CountLevels(labels, depths);
 }
 
@@ -212,11 +267,18 @@ void ProductLevels::AddToCounts(const LevelCounts& counts, int64_t sign) {
   }
 }
 
-absl::Status ProductLevels::EmitDepths(const CellKey& tile,
+absl::Status ProductLevels::EmitDepths(const CellKey& tile, int level,
                                        std::span<const uint8_t> depths) {
-  pending_.push_back({tile, {depths.begin(), depths.end()}});
-  // The tile as it is, and divided.
-  pending_bytes_ += static_cast<int64_t>(depths.size()) * 2 * point_bytes_;
+  int64_t point_count = static_cast<int64_t>(depths.size());
+  if (level > 0) {
+    point_count = 0;
+    for (const PreviousChunk& chunk : tiles_.at(tile).before) {
+      if (IsInGroupOf(chunk.ref, level)) point_count += chunk.ref.point_count;
+    }
+  }
+  pending_.push_back({tile, level, {depths.begin(), depths.end()}});
+  // The points as they are, and divided.
+  pending_bytes_ += point_count * 2 * point_bytes_;
   if (pending_bytes_ < options_.max_pending_bytes &&
       pending_.size() < kMaxPendingTiles) {
     return absl::OkStatus();
@@ -224,13 +286,41 @@ absl::Status ProductLevels::EmitDepths(const CellKey& tile,
   return Flush();
 }
 
+/// The points of the groups of depths that are written anew.
+absl::StatusOr<ProductLevels::DeepPoints> ProductLevels::LoadPending(
+    const Pending& pending) const {
+  DeepPoints loaded;
+  if (pending.level == 0) {
+    MAPSIEVE_ASSIGN_OR_RETURN(loaded.points, LoadNow(pending.tile, {}));
+    loaded.depths = pending.depths;
+    return loaded;
+  }
+  std::vector<ChunkRef> chunks;
+  for (const PreviousChunk& chunk : tiles_.at(pending.tile).before) {
+    if (IsInGroupOf(chunk.ref, pending.level)) chunks.push_back(chunk.ref);
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(loaded.points, ReadPoints(snapshot_, chunks, {}));
+  MAPSIEVE_ASSIGN_OR_RETURN(loaded.depths, DepthsOf(loaded.points.attributes));
+  size_t next = 0;
+  for (uint8_t& depth : loaded.depths) {
+    if (depth < pending.level) continue;
+    if (next < pending.depths.size()) depth = pending.depths[next];
+    ++next;
+  }
+  if (next != pending.depths.size()) {
+    return absl::DataLossError(absl::StrCat(
+        "tile ", pending.tile.ToString(), ": expected ", pending.depths.size(),
+        " points of level ", pending.level, ", found ", next));
+  }
+  return loaded;
+}
+
 absl::Status ProductLevels::Flush() {
   using Groups = std::array<LatticeCloud, kDepthGroups.size()>;
   pending_bytes_ = 0;
   const std::vector<Pending> pending = std::exchange(pending_, {});
   std::vector<Groups> divided(pending.size());
-  std::vector<LevelCounts> now(pending.size());
-  std::vector<LevelCounts> before(pending.size());
+  std::vector<LevelCounts> counts(pending.size());
   MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
       *options_.io, static_cast<int64_t>(pending.size()),
       [&](int64_t n) -> absl::Status {
@@ -238,25 +328,22 @@ absl::Status ProductLevels::Flush() {
           return absl::CancelledError("cancelled");
         }
         const auto i = static_cast<size_t>(n);
-        const auto& [tile, depths] = pending[i];
-        if (counts_differences_) {
-          MAPSIEVE_ASSIGN_OR_RETURN(before[i], CountLevelsBefore(tile));
-        }
-        MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud points, LoadNow(tile, {}));
-        MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView labels,
-                                  LabelColumnView::Of(points));
-        now[i] = CountLevels(labels, depths);
-        divided[i] = SplitByDepth(std::move(points), depths);
+        MAPSIEVE_ASSIGN_OR_RETURN(DeepPoints loaded, LoadPending(pending[i]));
+        MAPSIEVE_ASSIGN_OR_RETURN(
+            const LabelColumnView labels,
+            LabelColumnView::Of(loaded.points.attributes));
+        counts[i] = CountLevels(labels, loaded.depths);
+        divided[i] = SplitByDepth(std::move(loaded.points), loaded.depths);
         return absl::OkStatus();
       }));
   std::vector<TileCloud> clouds;
   for (size_t i = 0; i < pending.size(); ++i) {
-    AddToCounts(now[i], 1);
-    AddToCounts(before[i], -1);
+    AddToCounts(counts[i], 1);
     Tile& tile = tiles_.at(pending[i].tile);
-    tile.is_emitted = true;
-    for (const ChunkRef& chunk : tile.before) {
-      if (tile.is_kept) replaced_.push_back(chunk.number);
+    for (PreviousChunk& chunk : tile.before) {
+      if (!tile.is_kept || !IsInGroupOf(chunk.ref, pending[i].level)) continue;
+      chunk.is_replaced = true;
+      replaced_.push_back(chunk.ref.number);
     }
     for (LatticeCloud& group : divided[i]) {
       if (group.size() == 0) continue;
@@ -271,30 +358,28 @@ absl::Status ProductLevels::Flush() {
 
 absl::Status ProductLevels::Finish() {
   MAPSIEVE_RETURN_IF_ERROR(Flush());
-  // What a tile that is gone held is a difference; what a tile holds that no
-  // depth changed in is not.
-  std::vector<CellKey> uncounted;
+  // Of the chunks of before, those that are gone are a difference; those that
+  // stay belong to counts that start from nothing.
+  std::vector<ChunkRef> uncounted;
   for (const auto& [key, tile] : tiles_) {
-    const bool is_gone = !tile.is_kept && !tile.is_new;
-    if (!tile.is_emitted && is_gone == counts_differences_) {
-      uncounted.push_back(key);
+    for (const PreviousChunk& chunk : tile.before) {
+      const bool is_gone = !tile.is_kept || chunk.is_replaced;
+      if (is_gone == counts_differences_) uncounted.push_back(chunk.ref);
     }
   }
-  std::vector<LevelCounts> counts(uncounted.size());
-  MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
-      *options_.io, static_cast<int64_t>(uncounted.size()),
-      [&](int64_t n) -> absl::Status {
-        if (options_.stop.stop_requested()) {
-          return absl::CancelledError("cancelled");
-        }
-        const auto i = static_cast<size_t>(n);
-        MAPSIEVE_ASSIGN_OR_RETURN(counts[i], CountLevelsBefore(uncounted[i]));
-        return absl::OkStatus();
-      }));
-  for (const LevelCounts& tile : counts) {
-    AddToCounts(tile, counts_differences_ ? -1 : 1);
-  }
-  return absl::OkStatus();
+  Mutex mutex;
+  return TryParallelFor(*options_.io, static_cast<int64_t>(uncounted.size()),
+                        [&](int64_t n) -> absl::Status {
+                          if (options_.stop.stop_requested()) {
+                            return absl::CancelledError("cancelled");
+                          }
+                          MAPSIEVE_ASSIGN_OR_RETURN(
+                              const LevelCounts counts,
+                              CountLevelsOf(uncounted[static_cast<size_t>(n)]));
+                          const MutexLock lock(mutex);
+                          AddToCounts(counts, counts_differences_ ? -1 : 1);
+                          return absl::OkStatus();
+                        });
 }
 
 }  // namespace mapsieve::engine

@@ -7,11 +7,14 @@
 #include <optional>
 #include <span>
 #include <stop_token>
+#include <unordered_map>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/executor.h"
+#include "core/base/mutex.h"
 #include "core/codec/points_codec.h"
 #include "core/spdf/labels.h"
 #include "core/spdf/levels.h"
@@ -26,8 +29,9 @@ namespace mapsieve::engine {
 /// The tiles of a product on their way to chunks by depth: takes what the
 /// filter made of some tiles and keeps it in scratch files, knows the chunks of
 /// the others, and once core::ComputeDepths has run over them, has written
-/// chunks of the new tiles and of those whose depths changed. Memory: answers
-/// up to a limit, or one tile.
+/// chunks of the new tiles and, of the others, of the groups of depths in which
+/// one changed. Memory: answers up to a limit, or one tile; and points of
+/// coarse levels up to the same limit.
 class ProductLevels final : public core::LevelStore,
                             public core::PreviousLevels {
  public:
@@ -66,7 +70,7 @@ class ProductLevels final : public core::LevelStore,
       std::span<core::LatticePoint> room) override;
   absl::Status StorePoints(int level, const core::CellKey& cell,
                            std::span<const core::LatticePoint> points) override;
-  absl::Status EmitDepths(const core::CellKey& tile,
+  absl::Status EmitDepths(const core::CellKey& tile, int level,
                           std::span<const uint8_t> depths) override;
 
   // core::PreviousLevels
@@ -90,17 +94,33 @@ class ProductLevels final : public core::LevelStore,
   const std::vector<int64_t>& replaced() const { return replaced_; }
 
  private:
+  struct PreviousChunk {
+    storage::ChunkRef ref;
+    /// Its points are in new chunks.
+    bool is_replaced = false;
+  };
   struct Tile {
     int64_t point_count = 0;
     /// Its points are in a scratch file.
     bool is_new = false;
     /// Its points are those of the chunks.
     bool is_kept = false;
-    bool is_emitted = false;
-    std::vector<storage::ChunkRef> before;
+    std::vector<PreviousChunk> before;
   };
+  /// What EmitDepths got.
   struct Pending {
     core::CellKey tile;
+    int level = 0;
+    std::vector<uint8_t> depths;
+  };
+  /// Points to be written, and their depths.
+  struct DeepPoints {
+    core::LatticeCloud points;
+    std::vector<uint8_t> depths;
+  };
+  /// Points of the coarse levels of a tile as it was.
+  struct CoarsePoints {
+    std::vector<core::LatticePoint> positions;
     std::vector<uint8_t> depths;
   };
 
@@ -109,10 +129,15 @@ class ProductLevels final : public core::LevelStore,
   absl::StatusOr<core::LatticeCloud> LoadBefore(
       const core::CellKey& tile, int min_depth,
       const core::DecodeOptions& options) const;
+  absl::StatusOr<DeepPoints> LoadPending(const Pending& pending) const;
+  const CoarsePoints* FindCoarse(const core::CellKey& tile) const;
+  void KeepCoarse(const core::CellKey& tile,
+                  std::span<const core::LatticePoint> positions,
+                  std::span<const uint8_t> depths);
   LevelCounts CountLevels(const LabelColumnView& labels,
                           std::span<const uint8_t> depths) const;
-  absl::StatusOr<LevelCounts> CountLevelsBefore(
-      const core::CellKey& tile) const;
+  absl::StatusOr<LevelCounts> CountLevelsOf(
+      const storage::ChunkRef& chunk) const;
   void AddToCounts(const LevelCounts& counts, int64_t sign);
   absl::Status Flush();
 
@@ -129,6 +154,12 @@ class ProductLevels final : public core::LevelStore,
   /// Counts start with those before: tiles count as differences.
   bool counts_differences_ = false;
   LevelCounts level_counts_{};
+
+  mutable Mutex mutex_;
+  /// Nothing is taken out, so that entries stay where they are.
+  std::unordered_map<core::CellKey, CoarsePoints, core::CellKeyHash> coarse_
+      ABSL_GUARDED_BY(mutex_);
+  int64_t coarse_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
 };
 
 }  // namespace mapsieve::engine

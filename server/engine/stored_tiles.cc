@@ -89,14 +89,10 @@ StoredTiles::StoredTiles(storage::Store& store,
 
 absl::StatusOr<std::unique_ptr<StoredTiles>> StoredTiles::Open(
     storage::Store& store, const storage::ReadSnapshot& snapshot,
-    const storage::ReadSnapshot* previous,
-    std::span<const core::TileChange> changes, storage::Scratch& scratch,
+    const storage::ReadSnapshot* previous, storage::Scratch& scratch,
     ProductLevels& products, const Options& options) {
   std::unique_ptr<StoredTiles> tiles(
       new StoredTiles(store, snapshot, previous, scratch, products, options));
-  for (const core::TileChange& change : changes) {
-    tiles->changed_.insert(change.tile);
-  }
   MAPSIEVE_RETURN_IF_ERROR(tiles->ReadTileList());
   return tiles;
 }
@@ -135,6 +131,14 @@ absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
         absl::StrCat("tile ", key.ToString(), ": expected up to ", room.size(),
                      " points in its raw chunks, found ", points.size()));
   }
+  MAPSIEVE_RETURN_IF_ERROR(KeepPoints(key, points));
+  std::copy(points.begin(), points.end(), room.begin());
+  return static_cast<int64_t>(points.size());
+}
+
+absl::Status StoredTiles::KeepPoints(const CellKey& key,
+                                     std::span<const LatticePoint> points) {
+  const LatticePoint corner = key.corner();
   std::vector<Offsets> offsets;
   offsets.reserve(points.size());
   for (const LatticePoint& q : points) {
@@ -142,10 +146,7 @@ absl::StatusOr<int64_t> StoredTiles::LoadPoints(const CellKey& key,
                        static_cast<int32_t>(q.y - corner.y),
                        static_cast<int32_t>(q.z - corner.z)});
   }
-  MAPSIEVE_RETURN_IF_ERROR(
-      scratch_.Write(name, std::as_bytes(std::span(offsets))));
-  std::copy(points.begin(), points.end(), room.begin());
-  return static_cast<int64_t>(points.size());
+  return scratch_.Write(PointsName(key), std::as_bytes(std::span(offsets)));
 }
 
 absl::Status StoredTiles::LoadPointRows(const CellKey& key,
@@ -165,8 +166,16 @@ absl::Status StoredTiles::StoreState(const CellKey& key,
     return options_.checkpoint->Store(StateName(key, kind), bytes);
   }
   MAPSIEVE_RETURN_IF_ERROR(scratch_.Write(StateName(key, kind), bytes));
-  if (kind == core::TileStateKind::kDeaths) stored_deaths_.insert(key);
+  if (kind == core::TileStateKind::kDeaths) {
+    const MutexLock lock(mutex_);
+    stored_deaths_.insert(key);
+  }
   return absl::OkStatus();
+}
+
+bool StoredTiles::HasStoredDeaths(const CellKey& key) const {
+  const MutexLock lock(mutex_);
+  return stored_deaths_.contains(key);
 }
 
 absl::Status StoredTiles::LoadState(const CellKey& key,
@@ -179,12 +188,12 @@ absl::Status StoredTiles::LoadState(const CellKey& key,
                                      BytesOf(rows, row_bytes), room);
   }
   if (kind != core::TileStateKind::kDeaths || previous_ == nullptr ||
-      stored_deaths_.contains(key)) {
+      HasStoredDeaths(key)) {
     return scratch_.ReadParts(StateName(key, kind), BytesOf(rows, row_bytes),
                               room);
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<core::DeathRound> deaths,
-                            PreviousDeaths(key));
+                            ReadDeaths(*previous_, key));
   if (deaths.size() < rows.back().end) {
     return absl::DataLossError(
         absl::StrCat("tile ", key.ToString(), ": expected ", rows.back().end,
@@ -194,26 +203,47 @@ absl::Status StoredTiles::LoadState(const CellKey& key,
   return absl::OkStatus();
 }
 
-/// Of the tile's points of today: those of the previous run, kAlive for points
-/// that were not there.
-absl::StatusOr<std::vector<core::DeathRound>> StoredTiles::PreviousDeaths(
-    const CellKey& key) {
-  MAPSIEVE_ASSIGN_OR_RETURN(std::vector<core::DeathRound> before,
-                            ReadDeaths(*previous_, key));
-  if (!changed_.contains(key)) return before;
+absl::StatusOr<std::vector<core::TileChange>> StoredTiles::CompareTiles(
+    std::span<const CellKey> tiles, const ExecutionContext& context) {
+  std::vector<core::TileChange> changes(tiles.size());
+  MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
+      *context.executor, static_cast<int64_t>(tiles.size()),
+      [&](int64_t n) -> absl::Status {
+        MAPSIEVE_RETURN_IF_ERROR(context.CheckStop());
+        const auto i = static_cast<size_t>(n);
+        MAPSIEVE_ASSIGN_OR_RETURN(changes[i], CompareTile(tiles[i]));
+        return absl::OkStatus();
+      }));
+  return changes;
+}
+
+/// Keeps the points of today and their deaths at the previous revision, kAlive
+/// for points that were not there.
+absl::StatusOr<core::TileChange> StoredTiles::CompareTile(const CellKey& tile) {
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> old_points,
-                            ReadDistinctPoints(*previous_, key));
+                            ReadDistinctPoints(*previous_, tile));
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> points,
-                            ReadDistinctPoints(snapshot_, key));
+                            ReadDistinctPoints(snapshot_, tile));
+  core::TileChange change = {.tile = tile};
+  core::ForEachDifference(points, old_points, [&](const LatticePoint& q) {
+    change.box = change.box.has_value() ? change.box->Union(core::BoxOf(q))
+                                        : core::BoxOf(q);
+  });
+  if (points.empty()) return change;
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<core::DeathRound> before,
+                            ReadDeaths(*previous_, tile));
   if (before.size() != old_points.size()) {
     return absl::DataLossError(
-        absl::StrCat("tile ", key.ToString(), ": expected ", old_points.size(),
+        absl::StrCat("tile ", tile.ToString(), ": expected ", old_points.size(),
                      " points in its history, found ", before.size()));
   }
   std::vector<core::DeathRound> deaths(points.size(), core::kAlive);
   ForEachCommon(points, old_points,
                 [&](size_t i, size_t j) { deaths[i] = before[j]; });
-  return deaths;
+  MAPSIEVE_RETURN_IF_ERROR(KeepPoints(tile, points));
+  MAPSIEVE_RETURN_IF_ERROR(StoreState(tile, core::TileStateKind::kDeaths,
+                                      std::as_bytes(std::span(deaths))));
+  return change;
 }
 
 absl::StatusOr<LatticeCloud> StoredTiles::CollectRepresentatives(
@@ -261,9 +291,6 @@ std::vector<std::vector<std::byte>> StoredTiles::FinishedVisits() {
 
 absl::Status StoredTiles::Emit(const core::TileResult& result) {
   const core::LabelSpans& labels = result.columns;
-  for (size_t i = 0; i < labels.size(); ++i) {
-    histogram_.Add(labels.label[i], labels.confidence[i]);
-  }
   emitted_.insert(result.key);
   Pending pending = {.tile = result.key};
   pending.deaths.assign(result.deaths.begin(), result.deaths.end());

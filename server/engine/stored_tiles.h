@@ -10,14 +10,15 @@
 #include <unordered_set>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/base/mutex.h"
 #include "core/cloud/point_cloud.h"
 #include "core/spdf/labels.h"
 #include "core/spdf/tile_filter.h"
 #include "core/spdf/tile_update.h"
 #include "server/engine/chunk_repair.h"
-#include "server/engine/confidence_histogram.h"
 #include "server/engine/death_history.h"
 #include "server/engine/product_levels.h"
 #include "server/engine/run_checkpoint.h"
@@ -44,13 +45,20 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
   };
 
   /// Reads the list of tiles. `previous`: the revision whose history serves
-  /// tiles that the run has not filtered yet, with `changes` (FindChanges)
-  /// since then; null for none. The references outlive the object.
+  /// tiles that the run has not filtered yet; null for none. The references
+  /// outlive the object.
   static absl::StatusOr<std::unique_ptr<StoredTiles>> Open(
       storage::Store& store, const storage::ReadSnapshot& snapshot,
-      const storage::ReadSnapshot* previous,
-      std::span<const core::TileChange> changes, storage::Scratch& scratch,
+      const storage::ReadSnapshot* previous, storage::Scratch& scratch,
       ProductLevels& products, const Options& options);
+
+  /// How the points of `tiles` differ from those of the previous revision. Has
+  /// to be called before anything is loaded, with all tiles that may differ
+  /// (FindChangedTiles). Reads as many tiles at a time as the context has
+  /// workers. Errors of storage; kDataLoss: points and history of the previous
+  /// revision disagree; kCancelled.
+  absl::StatusOr<std::vector<core::TileChange>> CompareTiles(
+      std::span<const core::CellKey> tiles, const ExecutionContext& context);
 
   std::vector<core::TileInfo> Tiles() const override { return tiles_; }
   absl::StatusOr<int64_t> LoadPoints(
@@ -83,8 +91,6 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
   const std::unordered_set<core::CellKey, core::CellKeyHash>& emitted() const {
     return emitted_;
   }
-  /// Of the points emitted.
-  const ConfidenceHistogram& histogram() const { return histogram_; }
 
  private:
   /// An answer that waits.
@@ -99,8 +105,10 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
               const storage::ReadSnapshot* previous, storage::Scratch& scratch,
               ProductLevels& products, const Options& options);
   absl::Status ReadTileList();
-  absl::StatusOr<std::vector<core::DeathRound>> PreviousDeaths(
-      const core::CellKey& key);
+  bool HasStoredDeaths(const core::CellKey& key) const;
+  absl::Status KeepPoints(const core::CellKey& key,
+                          std::span<const core::LatticePoint> points);
+  absl::StatusOr<core::TileChange> CompareTile(const core::CellKey& tile);
   absl::StatusOr<core::LatticeCloud> CollectRepresentatives(
       const core::CellKey& tile, std::span<const core::LatticePoint> positions);
 
@@ -112,15 +120,15 @@ class StoredTiles final : public core::TileStore, public core::PreviousRun {
   DeathHistoryWriter history_;
   std::vector<storage::ChunkRef> history_chunks_;
   std::vector<core::TileInfo> tiles_;
-  std::unordered_set<core::CellKey, core::CellKeyHash> changed_;
+  mutable Mutex mutex_;
   /// Tiles whose deaths are in scratch_.
-  std::unordered_set<core::CellKey, core::CellKeyHash> stored_deaths_;
+  std::unordered_set<core::CellKey, core::CellKeyHash> stored_deaths_
+      ABSL_GUARDED_BY(mutex_);
   std::unordered_set<core::CellKey, core::CellKeyHash> emitted_;
   std::vector<Pending> pending_;
   int64_t pending_bytes_ = 0;
   /// An upper bound of the memory of a decoded point of the map.
   const int64_t point_bytes_;
-  ConfidenceHistogram histogram_;
 };
 
 }  // namespace mapsieve::engine

@@ -107,7 +107,7 @@ absl::StatusOr<std::string> FirstDifference(const LatticeCloud& stored,
   for (const core::Column& column : expected.attributes.columns()) {
     MAPSIEVE_ASSIGN_OR_RETURN(
         const core::Column* const other,
-        FindProductColumn(stored, column.name(), column.type()));
+        FindProductColumn(stored.attributes, column.name(), column.type()));
     const auto at = std::mismatch(column.bytes().begin(), column.bytes().end(),
                                   other->bytes().begin())
                         .first;
@@ -120,7 +120,7 @@ absl::StatusOr<std::string> FirstDifference(const LatticeCloud& stored,
   }
   if (stored.size() == 0) return std::string();
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint8_t> stored_depths,
-                            DepthsOf(stored));
+                            DepthsOf(stored.attributes));
   for (size_t i = 0; i < depths.size(); ++i) {
     const int found = std::min<int>(stored_depths[i], max_depth);
     const int wanted = std::min<int>(depths[i], max_depth);

@@ -287,6 +287,32 @@ TEST(DecodePoints, ReadsChosenColumnsWithoutTouchingTheOthers) {
   EXPECT_TRUE(bare.attributes.columns().empty());
 }
 
+TEST(DecodeColumns, ReadsThemWithoutTouchingAnythingElse) {
+  const LatticeCloud cloud = RandomCloud(4, 500, 1000);
+  BlockParts parts = BlockParts::Of(EncodePoints(cloud).value());
+  auto block = parts.Join();
+  // Damages the positions and every attribute but two.
+  size_t at = parts.head.head_bytes;
+  for (const ColumnEntry& entry : parts.head.columns) {
+    if (entry.spec.name != "column 3" && entry.spec.name != "column 8") {
+      block[at] ^= std::byte{1};
+    }
+    at += entry.stored_bytes;
+  }
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const ColumnSet chosen,
+      DecodeColumns(block, {"column 8", "none", "column 3"}));
+  ASSERT_EQ(chosen.columns().size(), 2u);
+  EXPECT_EQ(chosen.columns()[0], *cloud.attributes.Find("column 3"));
+  EXPECT_EQ(chosen.columns()[1], *cloud.attributes.Find("column 8"));
+  EXPECT_THAT(
+      DecodeColumns(block, {"column 1"}),
+      StatusIs(absl::StatusCode::kDataLoss, HasSubstr("column \"column 1\"")));
+  block.pop_back();
+  EXPECT_THAT(DecodeColumns(block, {"column 3"}),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("expected")));
+}
+
 TEST(DecodePoints, CountsTheMemoryOfTheWantedColumns) {
   LatticeCloud cloud = At(std::vector<LatticePoint>(100));
   AddColumn(cloud, "a", ScalarType::kFloat64, [](size_t) { return 0; });

@@ -162,14 +162,23 @@ class SmallLevelStore final : public LevelStore {
                     .second);
     return absl::OkStatus();
   }
-  absl::Status EmitDepths(const CellKey& tile,
+  absl::Status EmitDepths(const CellKey& tile, int level,
                           std::span<const uint8_t> depths) override {
-    EXPECT_EQ(depths.size(), cells_[0].at(tile).size());
     EXPECT_TRUE(emitted_tiles.insert(tile).second);
     emitted.insert(emitted.end(), depths.begin(), depths.end());
-    for (size_t i = 0; i < depths.size(); ++i) {
-      depth_of[cells_[0].at(tile)[i]] = depths[i];
+    size_t next = 0;
+    for (const LatticePoint& q : cells_[0].at(tile)) {
+      // Of finer levels as they were.
+      const auto before = depths_before.find(q);
+      if (level > 0 && before != depths_before.end() &&
+          before->second < level) {
+        depth_of[q] = before->second;
+      } else if (next < depths.size()) {
+        depth_of[q] = depths[next++];
+      }
     }
+    EXPECT_EQ(next, depths.size());
+    from_level_count += level > 0 ? 1 : 0;
     return absl::OkStatus();
   }
 
@@ -177,6 +186,10 @@ class SmallLevelStore final : public LevelStore {
   std::vector<uint8_t> emitted;
   std::set<CellKey, CellKeyLess> emitted_tiles;
   std::map<LatticePoint, uint8_t> depth_of;
+  /// In a run from previous levels, those of then.
+  std::map<LatticePoint, uint8_t> depths_before;
+  /// Tiles that were emitted from a level on.
+  size_t from_level_count = 0;
   int failing_level = -1;
 
  private:
@@ -287,6 +300,7 @@ TEST(Levels, OfChangedPointsAreMadeFromThoseBefore) {
   const SpdfOptions options = {.neighbor_count = 10, .density_radius_m = 0.01};
   std::mt19937_64 random(50);
   size_t skipped_tiles = 0;
+  size_t partial_tiles = 0;
   for (const int tile_level : {5, 7, 9}) {
     std::vector<LatticePoint> points =
         Distinct(clouds::SceneCloud(2000, 2.0, 51));
@@ -315,6 +329,7 @@ TEST(Levels, OfChangedPointsAreMadeFromThoseBefore) {
       }
       SmallPreviousLevels previous(depth_of, changed, tile_level);
       SmallLevelStore store(now, tile_level);
+      store.depths_before = depth_of;
       MAPSIEVE_ASSERT_OK(ComputeDepths(
           store, &previous, Lattice(), options,
           {.max_unit_points = edit % 2 == 0 ? 1 : 100'000},
@@ -328,6 +343,7 @@ TEST(Levels, OfChangedPointsAreMadeFromThoseBefore) {
         EXPECT_TRUE(store.emitted_tiles.contains(tile.key) ||
                     !changed.contains(tile.key));
       }
+      partial_tiles += store.from_level_count;
       std::map<LatticePoint, uint8_t> expected = scratch.depth_of;
       for (const auto& [q, depth] : expected) {
         const bool is_emitted =
@@ -339,6 +355,7 @@ TEST(Levels, OfChangedPointsAreMadeFromThoseBefore) {
     }
   }
   EXPECT_GT(skipped_tiles, 1000u);
+  EXPECT_GT(partial_tiles, 10u);
 }
 
 TEST(Levels, OfNoPointsAfterSomeAreEmpty) {

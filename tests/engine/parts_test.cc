@@ -168,16 +168,16 @@ TEST(ProductChunk, RefusesColumnsThatAreNone) {
   points.positions = {{1, 1, 1}, {2, 2, 2}};
   core::LatticeCloud product = MakeProductCloud(points, labels.All());
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const core::LabelCounts counts,
-                                CountLabels(product));
+                                CountLabels(product.attributes));
   EXPECT_EQ(counts, (core::LabelCounts{1, 0, 1, 0}));
-  EXPECT_THAT(
-      FindProductColumn(product, kNormalColumn, core::ScalarType::kFloat32),
-      StatusIs(absl::StatusCode::kDataLoss,
-               HasSubstr("expected float32, found uint32")));
-  EXPECT_THAT(CountLabels(points),
+  EXPECT_THAT(FindProductColumn(product.attributes, kNormalColumn,
+                                core::ScalarType::kFloat32),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       HasSubstr("expected float32, found uint32")));
+  EXPECT_THAT(CountLabels(points.attributes),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("found none")));
   product.attributes.Find(kLabelColumn)->Set<uint8_t>(1, 4);
-  EXPECT_THAT(CountLabels(product),
+  EXPECT_THAT(CountLabels(product.attributes),
               StatusIs(absl::StatusCode::kDataLoss,
                        HasSubstr("point 1 of a product chunk: expected at "
                                  "most 3, found 4")));

@@ -117,7 +117,7 @@ TEST(PipelineTest, StoresEverythingTheFilterSays) {
     MAPSIEVE_ASSERT_OK(stored.attributes.AppendAll(
         stored.size(), points.attributes, points.size()));
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<uint8_t> own,
-                                  DepthsOf(points));
+                                  DepthsOf(points.attributes));
     EXPECT_EQ(*std::min_element(own.begin(), own.end()), chunk.min_depth);
     EXPECT_EQ(*std::max_element(own.begin(), own.end()), chunk.max_depth);
     for (const core::LatticePoint& q : points.positions) {

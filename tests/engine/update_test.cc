@@ -11,6 +11,7 @@
 #include "core/cloud/merge_duplicates.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/engine/product_chunk.h"
 #include "tests/engine/engine_testing.h"
 #include "tests/testing/clouds.h"
 #include "tests/testing/memory_blob_store.h"
@@ -182,14 +183,20 @@ TEST(Update, SharesTheChunksOfTilesOutOfReach) {
   MAPSIEVE_ASSERT_OK(workshop.Add(Clump(scene, random), kIngest));
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport report,
                                 workshop.Process(options, kProcess));
-  // Tiles whose points have other depths are written anew too.
-  std::set<std::string> shared;
-  std::set<std::string> written;
+  // Of a tile in which only depths changed, the groups of depths that hold
+  // them are written anew.
+  std::map<std::string, std::set<size_t>> shared;
+  std::map<std::string, std::set<size_t>> written;
   for (const ChunkRef& chunk : workshop.Chunks(ChunkKind::kProduct)) {
-    (before.contains(chunk.number) ? shared : written)
-        .insert(chunk.tile.ToString());
+    (before.contains(chunk.number) ? shared : written)[chunk.tile.ToString()]
+        .insert(DepthGroupOf(chunk.min_depth));
   }
-  for (const std::string& tile : written) EXPECT_FALSE(shared.contains(tile));
+  for (const auto& [tile, groups] : written) {
+    const auto kept = shared.find(tile);
+    if (kept == shared.end()) continue;
+    // Coarse groups come first.
+    EXPECT_GT(*kept->second.begin(), *groups.rbegin());
+  }
   EXPECT_LT(static_cast<size_t>(report.updated_tile_count), tiles.size());
   EXPECT_GT(shared.size(), tiles.size() / 4);
 }
