@@ -5,7 +5,6 @@
 
 #include "core/base/mutex.h"
 #include "core/base/status.h"
-#include "core/codec/points_codec.h"
 
 namespace mapsieve::client {
 
@@ -21,6 +20,7 @@ absl::Status FileBlocks::Rewind() {
   MAPSIEVE_ASSIGN_OR_RETURN(reader_, OpenPointFile(path_, options_));
   refused_ = {};
   ready_.clear();
+  plan_.reset();
   return absl::OkStatus();
 }
 
@@ -37,6 +37,7 @@ absl::StatusOr<std::vector<std::byte>> FileBlocks::NextBlock() {
     MAPSIEVE_RETURN_IF_ERROR(
         TryParallelFor(*workers_, count, [&](int64_t) -> absl::Status {
           core::PointCloud batch;
+          core::LatticeCloud cloud;
           size_t b = 0;
           {
             MutexLock lock(mutex);
@@ -46,11 +47,19 @@ absl::StatusOr<std::vector<std::byte>> FileBlocks::NextBlock() {
             if (batch.size() == 0) return absl::OkStatus();
             is_over = false;
             b = read_count++;
+            // The first block makes the plan, however many workers there are.
+            if (!plan_.has_value()) {
+              cloud = core::Quantize(std::move(batch), lattice_, refused[b]);
+              batch = {};
+              if (cloud.size() > 0) plan_ = core::PlanEncoding(cloud);
+            }
           }
-          const core::LatticeCloud cloud =
-              core::Quantize(std::move(batch), lattice_, refused[b]);
+          if (batch.size() > 0) {
+            cloud = core::Quantize(std::move(batch), lattice_, refused[b]);
+          }
           if (cloud.size() == 0) return absl::OkStatus();
-          MAPSIEVE_ASSIGN_OR_RETURN(blocks[b], core::EncodePoints(cloud));
+          MAPSIEVE_ASSIGN_OR_RETURN(
+              blocks[b], core::EncodePoints(cloud, {.plan = &*plan_}));
           return absl::OkStatus();
         }));
     if (read_count == 0) return std::vector<std::byte>();

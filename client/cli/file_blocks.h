@@ -12,6 +12,7 @@
 #include "client/api/block_source.h"
 #include "client/formats/point_file.h"
 #include "core/base/executor.h"
+#include "core/codec/points_codec.h"
 #include "core/geometry/lattice.h"
 
 namespace mapsieve::client {
@@ -38,6 +39,8 @@ class FileBlocks final : public BlockSource {
   const std::unique_ptr<Executor> workers_;
   std::unique_ptr<PointReader> reader_;
   std::deque<std::vector<std::byte>> ready_;
+  /// Of the first block, for all.
+  std::optional<core::EncodePlan> plan_;
   core::RefusedCounts refused_;
 };
 

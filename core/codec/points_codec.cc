@@ -88,45 +88,103 @@ bool IsConstant(std::span<const std::byte> values, size_t width) {
                      values.size() - width) == 0;
 }
 
-/// The transform that makes a sample of the values smallest.
-Transform ChooseTransform(std::span<const std::byte> values, size_t width,
-                          Compression compression) {
-  if (IsConstant(values, width)) return Transform::kPlain;
-  const std::vector<std::byte> sample = Sample(values, width);
-  Transform best = Transform::kPlain;
-  size_t best_size = std::numeric_limits<size_t>::max();
-  const auto consider = [&](Transform transform, size_t size) {
-    if (size >= best_size) return;
-    best = transform;
-    best_size = size;
-  };
+using PlanEntries = std::map<std::string, EncodePlan::Entry, std::less<>>;
+
+/// Bytes of `sample`, transformed and compressed.
+size_t TrialBytes(Transform transform, std::span<const std::byte> sample,
+                  size_t width, Compression compression) {
+  if (IsCoded(transform)) {
+    return static_cast<size_t>(CodedBytes(transform, sample, width));
+  }
   std::vector<std::byte> coded;
-  const auto compressed_size = [&](Transform transform) {
-    coded.clear();
-    AppendTransformed(transform, sample, width, coded);
-    const std::vector<std::byte> compressed = Compress(compression, coded);
-    const size_t size = compressed.empty() ? coded.size() : compressed.size();
-    consider(transform, size);
-    return size;
+  AppendTransformed(transform, sample, width, coded);
+  const std::vector<std::byte> compressed = Compress(compression, coded);
+  return compressed.empty() ? coded.size() : compressed.size();
+}
+
+struct Trial {
+  Transform transform;
+  size_t bytes = 0;
+
+  friend bool operator<(const Trial& a, const Trial& b) {
+    return a.bytes < b.bytes;
+  }
+};
+
+/// The transforms that may make `sample` smallest.
+std::vector<Trial> TryAll(std::span<const std::byte> sample, size_t width,
+                          Compression compression) {
+  std::vector<Trial> trials;
+  const auto try_one = [&](Transform transform) {
+    trials.push_back(
+        {transform, TrialBytes(transform, sample, width, compression)});
+    return trials.back().bytes;
   };
   for (const Transform transform : kTransforms) {
-    if (!IsCoded(transform) || !SuitsWidth(transform, width)) continue;
-    consider(transform,
-             static_cast<size_t>(CodedBytes(transform, sample, width)));
+    if (IsCoded(transform) && SuitsWidth(transform, width)) try_one(transform);
   }
-  size_t repetitive_size = compressed_size(Transform::kPlain);
+  size_t repetitive_bytes = try_one(Transform::kPlain);
   for (const Transform transform :
        {Transform::kShuffle, Transform::kDeltaShuffle}) {
     if (transform == Transform::kShuffle && width == 1) continue;
-    repetitive_size = std::min(repetitive_size, compressed_size(transform));
+    repetitive_bytes = std::min(repetitive_bytes, try_one(transform));
   }
   // Packed values are better than coded ones where there is much for a
   // compressor to find.
-  if (repetitive_size <= best_size + best_size / 4) {
-    compressed_size(Transform::kDeltaPacked);
-    compressed_size(Transform::kAscendingPacked);
+  const size_t least = std::min_element(trials.begin(), trials.end())->bytes;
+  if (repetitive_bytes <= least + least / 4) {
+    try_one(Transform::kDeltaPacked);
+    try_one(Transform::kAscendingPacked);
   }
-  return best;
+  return trials;
+}
+
+/// The transform that makes a sample of the values, which are not all the same,
+/// smallest.
+Transform ChooseTransform(std::span<const std::byte> values, size_t width,
+                          Compression compression) {
+  const std::vector<Trial> trials =
+      TryAll(Sample(values, width), width, compression);
+  return std::min_element(trials.begin(), trials.end())->transform;
+}
+
+/// The same of some transforms, at least one.
+Transform ChooseTransform(std::span<const Transform> among,
+                          std::span<const std::byte> values, size_t width,
+                          Compression compression) {
+  if (among.size() == 1) return among.front();
+  const std::vector<std::byte> sample = Sample(values, width);
+  std::vector<Trial> trials;
+  for (const Transform transform : among) {
+    trials.push_back(
+        {transform, TrialBytes(transform, sample, width, compression)});
+  }
+  return std::min_element(trials.begin(), trials.end())->transform;
+}
+
+bool SuitsWidth(const EncodePlan::Entry& entry, size_t width) {
+  return std::all_of(
+      entry.transforms.begin(), entry.transforms.end(),
+      [&](Transform transform) { return SuitsWidth(transform, width); });
+}
+
+void AddToPlan(const ColumnSpec& spec, std::span<const std::byte> values,
+               Compression compression, PlanEntries& plan) {
+  const size_t width = ScalarSize(spec.type);
+  if (IsConstant(values, width)) return;
+  const std::vector<std::byte> sample = Sample(values, width);
+  std::vector<Trial> trials = TryAll(sample, width, compression);
+  std::stable_sort(trials.begin(), trials.end());
+  const size_t least = trials.front().bytes;
+  EncodePlan::Entry entry = {.value_bytes = static_cast<double>(least * width) /
+                                            static_cast<double>(sample.size())};
+  for (const Trial& trial : trials) {
+    // What is a little larger here may be smaller elsewhere.
+    if (trial.bytes <= least + least / 16) {
+      entry.transforms.push_back(trial.transform);
+    }
+  }
+  plan.emplace(spec.name, std::move(entry));
 }
 
 void AppendMissingBitmap(std::span<const uint8_t> missing,
@@ -163,15 +221,37 @@ EncodedColumn EncodeColumn(ColumnSpec spec, std::span<const std::byte> values,
   return column;
 }
 
-/// kPlain where nothing is compressed, else the best transform.
-EncodedColumn EncodeColumn(ColumnSpec spec, std::span<const std::byte> values,
+/// kPlain where nothing is compressed, else the transform of the plan, if that
+/// has one that suits, or the best one. `plan` may be null.
+EncodedColumn EncodeColumn(const ColumnSpec& spec,
+                           std::span<const std::byte> values,
                            std::span<const uint8_t> missing,
-                           Compression compression) {
-  const Transform transform =
-      compression == Compression::kNone
-          ? Transform::kPlain
-          : ChooseTransform(values, ScalarSize(spec.type), compression);
-  return EncodeColumn(std::move(spec), values, missing, transform, compression);
+                           Compression compression, const PlanEntries* plan) {
+  const size_t width = ScalarSize(spec.type);
+  if (compression == Compression::kNone || IsConstant(values, width)) {
+    return EncodeColumn(spec, values, missing, Transform::kPlain, compression);
+  }
+  const auto encode = [&](Transform transform) {
+    return EncodeColumn(spec, values, missing, transform, compression);
+  };
+  if (plan != nullptr) {
+    const auto found = plan->find(spec.name);
+    if (found != plan->end() && SuitsWidth(found->second, width)) {
+      const auto& [transforms, value_bytes] = found->second;
+      const Transform transform =
+          ChooseTransform(transforms, values, width, compression);
+      EncodedColumn planned = encode(transform);
+      constexpr double kTolerance = 1.125;
+      if (static_cast<double>(planned.stored.size()) <=
+          kTolerance * value_bytes *
+              static_cast<double>(values.size() / width)) {
+        return planned;
+      }
+      const Transform best = ChooseTransform(values, width, compression);
+      return best == transform ? planned : encode(best);
+    }
+  }
+  return encode(ChooseTransform(values, width, compression));
 }
 
 /// Corner of the Morton codes: on a coarse grid of cells, so that codes sort as
@@ -192,26 +272,28 @@ std::optional<std::vector<uint64_t>> MortonCodes(
       max.z - corner.z >= kEdge) {
     return std::nullopt;
   }
-  std::vector<uint64_t> codes(positions.size());
-  for (size_t i = 0; i < codes.size(); ++i) {
-    codes[i] = MortonCode(static_cast<uint64_t>(positions[i].x - corner.x),
-                          static_cast<uint64_t>(positions[i].y - corner.y),
-                          static_cast<uint64_t>(positions[i].z - corner.z));
-  }
-  size_t descents = 0;
-  for (size_t i = 1; i < codes.size(); ++i) {
-    descents += codes[i] < codes[i - 1] ? 1 : 0;
-  }
   // A step down costs some 40 bits more than a step up.
   constexpr size_t kMaxDescentShare = 64;
-  if (descents > codes.size() / kMaxDescentShare) return std::nullopt;
+  const size_t max_descents = positions.size() / kMaxDescentShare;
+  size_t descents = 0;
+  std::vector<uint64_t> codes;
+  codes.reserve(positions.size());
+  for (const LatticePoint& q : positions) {
+    const uint64_t code = MortonCode(static_cast<uint64_t>(q.x - corner.x),
+                                     static_cast<uint64_t>(q.y - corner.y),
+                                     static_cast<uint64_t>(q.z - corner.z));
+    if (!codes.empty() && code < codes.back() && ++descents > max_descents) {
+      return std::nullopt;
+    }
+    codes.push_back(code);
+  }
   return codes;
 }
 
-template <typename T>
-void EncodeAxes(std::span<const LatticePoint> positions,
-                const LatticePoint& corner, Compression compression,
-                std::vector<EncodedColumn>& columns) {
+/// Calls use(spec, values) for the coordinates of each axis from `corner` on.
+template <typename T, typename Use>
+void ForEachAxisOf(std::span<const LatticePoint> positions,
+                   const LatticePoint& corner, const Use& use) {
   std::vector<T> offsets(positions.size());
   for (size_t axis = 0; axis < 3; ++axis) {
     const auto coordinate = kAxes[axis];
@@ -219,17 +301,32 @@ void EncodeAxes(std::span<const LatticePoint> positions,
       offsets[i] =
           static_cast<T>(positions[i].*coordinate - corner.*coordinate);
     }
-    columns.push_back(
-        EncodeColumn({std::string(kAxisNames[axis]), ScalarTypeOf<T>()},
-                     AsBytes(offsets), {}, compression));
+    use(ColumnSpec{std::string(kAxisNames[axis]), ScalarTypeOf<T>()},
+        AsBytes(offsets));
+  }
+}
+
+/// ForEachAxisOf in the narrowest type that holds the coordinates.
+template <typename Use>
+void ForEachAxis(std::span<const LatticePoint> positions, const Bounds& bounds,
+                 const Use& use) {
+  const auto& [min, max] = bounds;
+  const int64_t widest =
+      std::max({max.x - min.x, max.y - min.y, max.z - min.z});
+  if (widest <= std::numeric_limits<int32_t>::max()) {
+    ForEachAxisOf<int32_t>(positions, min, use);
+  } else {
+    ForEachAxisOf<int64_t>(positions, min, use);
   }
 }
 
 /// Adds the position columns and sets the head's bounds and corner.
 void EncodePositions(std::span<const LatticePoint> positions,
-                     Compression compression, BlockHead& head,
+                     const EncodeOptions& options, BlockHead& head,
                      std::vector<EncodedColumn>& columns) {
-  const auto [min, max] = BoundsOf(positions);
+  const Compression compression = options.compression;
+  const Bounds bounds = BoundsOf(positions);
+  const auto& [min, max] = bounds;
   head.min = min;
   head.max = max;
   if (compression != Compression::kNone && !positions.empty()) {
@@ -242,13 +339,11 @@ void EncodePositions(std::span<const LatticePoint> positions,
     }
   }
   head.corner = min;
-  const int64_t widest =
-      std::max({max.x - min.x, max.y - min.y, max.z - min.z});
-  if (widest <= std::numeric_limits<int32_t>::max()) {
-    EncodeAxes<int32_t>(positions, min, compression, columns);
-  } else {
-    EncodeAxes<int64_t>(positions, min, compression, columns);
-  }
+  ForEachAxis(positions, bounds, [&](const ColumnSpec& spec, auto values) {
+    columns.push_back(
+        EncodeColumn(spec, values, {}, compression,
+                     options.plan == nullptr ? nullptr : &options.plan->axes));
+  });
 }
 
 absl::Status CheckEncodable(const LatticeCloud& cloud) {
@@ -447,6 +542,21 @@ absl::Status DecodePositions(const BlockHead& head,
 
 }  // namespace
 
+EncodePlan PlanEncoding(const LatticeCloud& cloud, Compression compression) {
+  EncodePlan plan;
+  const Bounds bounds = BoundsOf(cloud.positions);
+  if (!MortonCodes(cloud.positions, bounds.max, MortonCorner(bounds.min))) {
+    ForEachAxis(cloud.positions, bounds,
+                [&](const ColumnSpec& spec, auto values) {
+                  AddToPlan(spec, values, compression, plan.axes);
+                });
+  }
+  for (const Column& column : cloud.attributes.columns()) {
+    AddToPlan(column.spec(), column.bytes(), compression, plan.attributes);
+  }
+  return plan;
+}
+
 absl::StatusOr<std::vector<std::byte>> EncodePoints(
     const LatticeCloud& cloud, const EncodeOptions& options) {
   MAPSIEVE_RETURN_IF_ERROR(CheckEncodable(cloud));
@@ -454,10 +564,11 @@ absl::StatusOr<std::vector<std::byte>> EncodePoints(
   head.step_nm = cloud.lattice.step_nm();
   head.point_count = static_cast<uint32_t>(cloud.size());
   std::vector<EncodedColumn> columns;
-  EncodePositions(cloud.positions, options.compression, head, columns);
+  EncodePositions(cloud.positions, options, head, columns);
   for (const Column& column : cloud.attributes.columns()) {
-    columns.push_back(EncodeColumn(column.spec(), column.bytes(),
-                                   column.missing(), options.compression));
+    columns.push_back(EncodeColumn(
+        column.spec(), column.bytes(), column.missing(), options.compression,
+        options.plan == nullptr ? nullptr : &options.plan->attributes));
   }
   size_t stored_bytes = 0;
   for (const EncodedColumn& column : columns) {

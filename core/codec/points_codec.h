@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <span>
 #include <string>
@@ -29,10 +30,37 @@ inline constexpr size_t kMaxColumnNameBytes = 255;
 /// BlockHeader::decoded_bytes of a block.
 inline constexpr int64_t kMaxDecodedBytes = int64_t{1} << 31;
 
+/// The numbers are part of the format; transforms.h says what they are.
+enum class Transform : uint8_t;
+
+/// Which transforms are worth trying on the columns of clouds that are alike:
+/// trying all takes as long as coding some ten thousand points.
+struct EncodePlan {
+  struct Entry {
+    /// At least one, the best for the cloud that the plan was made for first.
+    std::vector<Transform> transforms;
+    /// What a value of that cloud takes.
+    double value_bytes = 0;
+  };
+  /// Of the columns of positions, by axis; of points in Morton order there are
+  /// none.
+  std::map<std::string, Entry, std::less<>> axes;
+  std::map<std::string, Entry, std::less<>> attributes;
+};
+
+/// The plan for clouds like `cloud`. Columns of one value are left out.
+/// Deterministic.
+EncodePlan PlanEncoding(const LatticeCloud& cloud,
+                        Compression compression = Compression::kLz4);
+
 struct EncodeOptions {
   /// kZstd is smaller by a few percent and slower to write. kNone writes every
   /// column plain, for readers that know no transform: some four times larger.
   Compression compression = Compression::kLz4;
+  /// Made for the same compression; outlives the call. All transforms are
+  /// tried on a column that the plan lacks or whose values take much more than
+  /// it says, as on all columns without a plan.
+  const EncodePlan* plan = nullptr;
 };
 
 /// Encodes `cloud` in its order; losslessly, attributes and missing values

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <memory>
 #include <vector>
 
 namespace mapsieve::core {
@@ -197,27 +198,51 @@ template <std::unsigned_integral U>
 void WriteStreams(std::span<const U> values, const StreamCounts& counts,
                   const CodeLengths& lengths, std::byte* at) {
   const std::array<Code, kTokenCount> codes = CodesOf(lengths);
+  std::array<uint32_t, kTokenStreams> bytes;
+  std::array<size_t, kTokenStreams> begins;
+  size_t end = 0;
+  for (size_t s = 0; s < kTokenStreams; ++s) {
+    bytes[s] = static_cast<uint32_t>(StreamBytes(counts.of_stream[s], lengths));
+    begins[s] = end;
+    end += bytes[s] + sizeof(uint64_t);
+  }
+  // All streams at once, as they are read: none waits for its last value. In
+  // room of their own, since a writer may write behind its end.
+  const auto room = std::make_unique_for_overwrite<std::byte[]>(end);
+  const auto put = [&](BitWriter& writer, U value) {
+    const Code& code = codes[TokenOf(value)];
+    const uint64_t low = value - code.base;
+    if (sizeof(U) == 8 && code.low_bits > 40) {
+      writer.Put(code.bits, code.count);
+      writer.Put(low & 0xffffffff, 32);
+      writer.Put(low >> 32, code.low_bits - 32U);
+    } else {
+      writer.Put(code.bits | low << code.count,
+                 unsigned{code.count} + code.low_bits);
+    }
+  };
+  static_assert(kTokenStreams == 4);
+  BitWriter a(room.get() + begins[0]);
+  BitWriter b(room.get() + begins[1]);
+  BitWriter c(room.get() + begins[2]);
+  BitWriter d(room.get() + begins[3]);
+  size_t i = 0;
+  for (; i + 4 <= values.size(); i += 4) {
+    put(a, values[i]);
+    put(b, values[i + 1]);
+    put(c, values[i + 2]);
+    put(d, values[i + 3]);
+  }
+  if (i < values.size()) put(a, values[i]);
+  if (i + 1 < values.size()) put(b, values[i + 1]);
+  if (i + 2 < values.size()) put(c, values[i + 2]);
   std::byte* stream = at + kStreamLengthBytes;
   for (size_t s = 0; s < kTokenStreams; ++s) {
-    const auto bytes =
-        static_cast<uint32_t>(StreamBytes(counts.of_stream[s], lengths));
     if (s + 1 < kTokenStreams) {
-      std::memcpy(at + s * sizeof(bytes), &bytes, sizeof(bytes));
+      std::memcpy(at + s * sizeof(uint32_t), &bytes[s], sizeof(uint32_t));
     }
-    BitWriter writer(stream);
-    for (size_t i = s; i < values.size(); i += kTokenStreams) {
-      const Code& code = codes[TokenOf(values[i])];
-      const uint64_t low = values[i] - code.base;
-      if (sizeof(U) == 8 && code.low_bits > 40) {
-        writer.Put(code.bits, code.count);
-        writer.Put(low & 0xffffffff, 32);
-        writer.Put(low >> 32, code.low_bits - 32U);
-      } else {
-        writer.Put(code.bits | low << code.count,
-                   unsigned{code.count} + code.low_bits);
-      }
-    }
-    stream += bytes;
+    std::memcpy(stream, room.get() + begins[s], bytes[s]);
+    stream += bytes[s];
   }
 }
 

@@ -34,7 +34,7 @@ LatticeBox TightBox(std::span<const LatticePoint> points) {
 
 /// Runs of rows, spread evenly over `rows`.
 std::vector<uint32_t> SampleRuns(std::span<const uint32_t> rows) {
-  constexpr size_t kRuns = 4;
+  constexpr size_t kRuns = 8;
   constexpr size_t kRunRows = 512;
   if (rows.size() <= kRuns * kRunRows) return {rows.begin(), rows.end()};
   std::vector<uint32_t> sample;
@@ -44,20 +44,6 @@ std::vector<uint32_t> SampleRuns(std::span<const uint32_t> rows) {
     sample.insert(sample.end(), part.begin(), part.end());
   }
   return sample;
-}
-
-/// Whether a sample of the points gets smaller in the order given than in
-/// Morton order.
-absl::StatusOr<bool> IsSmallerUnsorted(const LatticeCloud& points) {
-  std::vector<uint32_t> rows(points.size());
-  std::iota(rows.begin(), rows.end(), uint32_t{0});
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const std::vector<std::byte> unsorted,
-      core::EncodePoints(points.Select(SampleRuns(rows))));
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> sorted,
-                            core::EncodePoints(points.Select(SampleRuns(
-                                core::MortonOrder(points.positions)))));
-  return unsorted.size() < sorted.size();
 }
 
 }  // namespace
@@ -96,23 +82,39 @@ ChunkWriter::ChunkWriter(storage::Store& store, storage::ChunkKind kind,
       executor_(executor),
       blobs_(store.NewBlobWriter()) {}
 
+absl::StatusOr<ChunkWriter::RawStyle> ChunkWriter::ChooseStyle(
+    const LatticeCloud& points) {
+  std::vector<uint32_t> rows(points.size());
+  std::iota(rows.begin(), rows.end(), uint32_t{0});
+  const LatticeCloud unsorted = points.Select(SampleRuns(rows));
+  const LatticeCloud sorted =
+      points.Select(SampleRuns(core::MortonOrder(points.positions)));
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> unsorted_block,
+                            core::EncodePoints(unsorted));
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> sorted_block,
+                            core::EncodePoints(sorted));
+  const bool keeps_order = unsorted_block.size() < sorted_block.size();
+  return RawStyle{keeps_order,
+                  core::PlanEncoding(keeps_order ? unsorted : sorted)};
+}
+
 absl::Status ChunkWriter::Write(std::vector<TileCloud> clouds,
                                 const std::stop_token& stop) {
-  bool keeps_order = false;
-  if (kind_ == storage::ChunkKind::kRaw && !clouds.empty()) {
+  if (kind_ == storage::ChunkKind::kRaw && !clouds.empty() &&
+      !raw_style_.has_value()) {
     const auto largest =
         std::max_element(clouds.begin(), clouds.end(),
                          [](const TileCloud& a, const TileCloud& b) {
                            return a.points.size() < b.points.size();
                          });
-    MAPSIEVE_ASSIGN_OR_RETURN(keeps_order, IsSmallerUnsorted(largest->points));
+    MAPSIEVE_ASSIGN_OR_RETURN(raw_style_, ChooseStyle(largest->points));
   }
   // Tiles differ in size, and a chunk waits for the disk: by chunk, none of
   // the executor's workers is idle for long.
   std::vector<std::vector<std::vector<uint32_t>>> rows(clouds.size());
   executor_.ParallelFor(static_cast<int64_t>(clouds.size()), [&](int64_t n) {
     const auto i = static_cast<size_t>(n);
-    rows[i] = DivideRows(clouds[i].points, keeps_order);
+    rows[i] = DivideRows(clouds[i].points);
   });
   struct Part {
     size_t cloud;
@@ -141,7 +143,8 @@ absl::Status ChunkWriter::Write(std::vector<TileCloud> clouds,
 }
 
 std::vector<std::vector<uint32_t>> ChunkWriter::DivideRows(
-    const LatticeCloud& points, bool keeps_order) const {
+    const LatticeCloud& points) const {
+  const bool keeps_order = raw_style_.has_value() && raw_style_->keeps_order;
   const auto chunk_points = static_cast<size_t>(
       std::clamp(max_chunk_bytes_ / DecodedPointBytes(points), int64_t{1},
                  core::kMaxBlockPoints));
@@ -172,8 +175,10 @@ std::vector<std::vector<uint32_t>> ChunkWriter::DivideRows(
 absl::StatusOr<ChunkRef> ChunkWriter::WriteChunk(
     const core::CellKey& tile, const LatticeCloud& points) const {
   MAPSIEVE_ASSIGN_OR_RETURN(ChunkRef chunk, DescribeChunk(kind_, tile, points));
+  const core::EncodeOptions options = {
+      .plan = raw_style_.has_value() ? &raw_style_->plan : nullptr};
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
-                            core::EncodePoints(points));
+                            core::EncodePoints(points, options));
   chunk.stored_bytes = static_cast<int64_t>(block.size());
   MAPSIEVE_ASSIGN_OR_RETURN(chunk.blob_id, blobs_->Put(block));
   return chunk;

@@ -4,12 +4,14 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/executor.h"
 #include "core/cloud/point_cloud.h"
+#include "core/codec/points_codec.h"
 #include "core/geometry/cell_key.h"
 #include "storage/store.h"
 
@@ -48,9 +50,10 @@ class ChunkWriter {
   /// Stores the points of each cloud, divided by Morton order where that takes
   /// several chunks. In a chunk they lie in Morton order, those of one place in
   /// the order given; or, raw points, all in the order given, where a sample
-  /// of the largest cloud is smaller so: scanners give attributes in an order
-  /// that only theirs has. All are durable when it returns. Product clouds are
-  /// those of SplitByDepth. Errors of storage; kCancelled.
+  /// of the largest cloud of the first call is smaller so: scanners give
+  /// attributes in an order that only theirs has. That sample also plans how
+  /// raw chunks are encoded. All are durable when it returns. Product clouds
+  /// are those of SplitByDepth. Errors of storage; kCancelled.
   absl::Status Write(std::vector<TileCloud> clouds,
                      const std::stop_token& stop);
 
@@ -58,9 +61,17 @@ class ChunkWriter {
   const std::vector<storage::ChunkRef>& chunks() const { return chunks_; }
 
  private:
+  /// How raw points are written.
+  struct RawStyle {
+    /// All in the order given, and not in Morton order.
+    bool keeps_order = false;
+    core::EncodePlan plan;
+  };
+  static absl::StatusOr<RawStyle> ChooseStyle(const core::LatticeCloud& points);
+
   /// The rows of each chunk; no rows: all, as they are.
   std::vector<std::vector<uint32_t>> DivideRows(
-      const core::LatticeCloud& points, bool keeps_order) const;
+      const core::LatticeCloud& points) const;
   absl::StatusOr<storage::ChunkRef> WriteChunk(
       const core::CellKey& tile, const core::LatticeCloud& points) const;
 
@@ -68,6 +79,8 @@ class ChunkWriter {
   const int64_t max_chunk_bytes_;
   Executor& executor_;
   const std::unique_ptr<storage::BlobWriter> blobs_;
+  /// Set by the first raw cloud.
+  std::optional<RawStyle> raw_style_;
   std::vector<storage::ChunkRef> chunks_;
 };
 

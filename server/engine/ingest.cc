@@ -14,6 +14,7 @@
 
 #include "core/base/hash.h"
 #include "core/base/status.h"
+#include "core/cloud/row_runs.h"
 #include "core/codec/points_codec.h"
 #include "core/geometry/cell_key.h"
 #include "server/engine/attribute_schema.h"
@@ -36,7 +37,11 @@ struct TileParts {
 
 /// The points of all parts, which it empties, one part after the other.
 absl::StatusOr<LatticeCloud> Concatenate(std::vector<LatticeCloud> parts) {
+  size_t size = 0;
+  for (const LatticeCloud& part : parts) size += part.size();
   LatticeCloud all = std::move(parts.front());
+  all.positions.reserve(size);
+  for (core::Column& column : all.attributes.columns()) column.Reserve(size);
   for (size_t i = 1; i < parts.size(); ++i) {
     const LatticeCloud part = std::move(parts[i]);
     MAPSIEVE_RETURN_IF_ERROR(
@@ -50,14 +55,20 @@ absl::StatusOr<LatticeCloud> Concatenate(std::vector<LatticeCloud> parts) {
 /// Points by tile until they are written.
 class TileBuckets {
  public:
-  /// Estimated memory of all buckets, and of what writing them takes.
+  /// Estimated memory of all buckets, and of what they take as one cloud each.
   int64_t bytes() const { return bytes_; }
 
   /// Adds the points of `part`, all of them in its tile.
   void Add(TileCloud part) {
     Bucket& bucket = buckets_[part.tile];
-    bucket.bytes += BytesOf(part.points);
-    bytes_ += BytesOf(part.points);
+    int64_t bytes = BytesOf(part.points);
+    // A point gets the attributes of the other parts too.
+    if (!bucket.parts.empty() && bucket.parts.front().attributes.specs() !=
+                                     part.points.attributes.specs()) {
+      bytes *= 2;
+    }
+    bucket.bytes += bytes;
+    bytes_ += bytes;
     bucket.parts.push_back(std::move(part.points));
   }
 
@@ -90,11 +101,13 @@ class TileBuckets {
     int64_t bytes = 0;
   };
 
-  /// Parts are concatenated, and that may hold up to twice what it needs; nodes
-  /// and columns cost something of their own.
+  /// Nodes and columns cost something of their own, and so do the numbers of
+  /// rows when a tile is divided.
   static int64_t BytesOf(const LatticeCloud& part) {
+    constexpr auto kRowBytes = static_cast<int64_t>(sizeof(uint32_t));
     return 256 +
-           2 * static_cast<int64_t>(part.size()) * DecodedPointBytes(part) +
+           static_cast<int64_t>(part.size()) *
+               (DecodedPointBytes(part) + kRowBytes) +
            128 * static_cast<int64_t>(part.attributes.columns().size());
   }
 
@@ -271,22 +284,27 @@ class Ingest {
 
   /// The points of each tile in the order given, tiles in Morton order.
   std::vector<TileCloud> SplitByTile(const LatticeCloud& points) const {
-    std::map<CellKey, std::vector<uint32_t>, core::CellKeyLess> rows_of;
-    CellKey last = {.level = -1};
-    std::vector<uint32_t>* rows = nullptr;
-    for (uint32_t row = 0; row < points.size(); ++row) {
+    std::unordered_map<CellKey, std::vector<core::RowRun>, core::CellKeyHash>
+        runs_of;
+    const auto size = static_cast<uint32_t>(points.size());
+    for (uint32_t row = 0; row < size;) {
+      const uint32_t begin = row;
       const CellKey tile =
           CellKey::Of(points.positions[row], map_.spec.tile_level);
-      if (!(tile == last)) {
-        rows = &rows_of[tile];
-        last = tile;
+      while (++row < size &&
+             CellKey::Of(points.positions[row], map_.spec.tile_level) == tile) {
       }
-      rows->push_back(row);
+      runs_of[tile].push_back({begin, row - begin});
     }
     std::vector<TileCloud> parts;
-    for (const auto& [tile, of_tile] : rows_of) {
-      parts.push_back({tile, points.Select(of_tile)});
+    parts.reserve(runs_of.size());
+    for (const auto& [tile, runs] : runs_of) {
+      parts.push_back({tile, core::SelectRuns(points, runs)});
     }
+    std::sort(parts.begin(), parts.end(),
+              [](const TileCloud& a, const TileCloud& b) {
+                return core::CellKeyLess()(a.tile, b.tile);
+              });
     return parts;
   }
 

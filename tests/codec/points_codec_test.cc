@@ -186,6 +186,56 @@ TEST(EncodePoints, WritesAxesAsInt32UpToTheirWidest) {
   ExpectRoundTrip(wide);
 }
 
+TEST(EncodePoints, WithThePlanOfOtherPointsIsAboutAsSmall) {
+  for (const bool sorted : {false, true}) {
+    const EncodePlan plan = PlanEncoding(VariedCloud(4000, sorted));
+    EXPECT_EQ(plan.axes.empty(), sorted);
+    for (const size_t count : {0, 1, 100, 30'000}) {
+      const LatticeCloud cloud = VariedCloud(count, sorted);
+      const auto planned = EncodePoints(cloud, {.plan = &plan}).value();
+      ExpectSame(DecodePoints(planned).value(), cloud);
+      const size_t chosen = EncodePoints(cloud).value().size();
+      EXPECT_LE(planned.size(), chosen + chosen / 50) << count;
+    }
+  }
+}
+
+TEST(EncodePoints, DoesWithoutAPlanThatDoesNotSuit) {
+  const LatticeCloud cloud = VariedCloud(20'000, false);
+  const auto chosen = EncodePoints(cloud).value();
+  EncodePlan plan = PlanEncoding(cloud);
+  EXPECT_EQ(EncodePoints(cloud, {.plan = &plan}).value(), chosen);
+  for (auto* entries : {&plan.axes, &plan.attributes}) {
+    for (auto& [name, entry] : *entries) {
+      entry.transforms = {Transform::kPlain};
+      entry.value_bytes = 0;
+    }
+  }
+  EXPECT_EQ(EncodePoints(cloud, {.plan = &plan}).value(), chosen);
+  // Halves are not for values of one byte.
+  plan.attributes.at("noise") = {{Transform::kHalvesCoded}, 8};
+  EXPECT_EQ(EncodePoints(cloud, {.plan = &plan}).value(), chosen);
+  EncodePlan nothing;
+  EXPECT_EQ(EncodePoints(cloud, {.plan = &nothing}).value(), chosen);
+  // Which is not asked where values take what was expected.
+  nothing.attributes["noise"] = {{Transform::kShuffle}, 1};
+  const auto shuffled = EncodePoints(cloud, {.plan = &nothing}).value();
+  const BlockHead head = ReadBlockHead(shuffled).value();
+  EXPECT_EQ(head.attributes()[0].spec.name, "noise");
+  EXPECT_EQ(head.attributes()[0].transform, Transform::kShuffle);
+}
+
+TEST(PlanEncoding, LeavesOutColumnsOfOneValue) {
+  LatticeCloud cloud = At({{0, 5, 0}, {9, 5, 2}, {1, 5, 4}});
+  AddColumn(cloud, "same", ScalarType::kUint16, [](size_t) { return 7; });
+  AddColumn(cloud, "other", ScalarType::kUint16, [](size_t i) { return i; });
+  const EncodePlan plan = PlanEncoding(cloud);
+  EXPECT_EQ(plan.axes.size(), 2u);
+  EXPECT_FALSE(plan.axes.contains("y"));
+  EXPECT_EQ(plan.attributes.size(), 1u);
+  EXPECT_TRUE(plan.attributes.contains("other"));
+}
+
 TEST(EncodePoints, WithoutCompressionIsPlain) {
   const auto block =
       EncodePoints(VariedCloud(1000, true), {.compression = Compression::kNone})

@@ -2,6 +2,7 @@
 #include <limits>
 
 #include "core/cloud/point_cloud.h"
+#include "core/cloud/row_runs.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::core {
@@ -70,6 +71,35 @@ TEST(ColumnSet, RefusesTheSameNameWithAnotherType) {
               StatusIs(absl::StatusCode::kInvalidArgument,
                        AllOf(HasSubstr("int32"), HasSubstr("float32"))));
   EXPECT_EQ(first, before);
+}
+
+TEST(SelectRuns, IsSelectOfTheirRows) {
+  LatticeCloud cloud;
+  Column bytes({"bytes", ScalarType::kUint8});
+  Column times({"times", ScalarType::kFloat64});
+  for (int i = 0; i < 100; ++i) {
+    cloud.positions.push_back({i, 2 * i, -i});
+    bytes.Append(static_cast<uint8_t>(i));
+    times.Append(0.5 * i);
+  }
+  times.SetMissing(41);
+  MAPSIEVE_ASSERT_OK(cloud.attributes.Add(bytes));
+  MAPSIEVE_ASSERT_OK(cloud.attributes.Add(times));
+  const auto expect_same = [&](const std::vector<RowRun>& runs) {
+    std::vector<uint32_t> rows;
+    for (const RowRun& run : runs) {
+      for (uint32_t i = 0; i < run.count; ++i) rows.push_back(run.begin + i);
+    }
+    const LatticeCloud selected = SelectRuns(cloud, runs);
+    const LatticeCloud expected = cloud.Select(rows);
+    EXPECT_EQ(selected.positions, expected.positions);
+    EXPECT_EQ(selected.attributes, expected.attributes);
+  };
+  expect_same({});
+  expect_same({{0, 100}});
+  expect_same({{40, 3}, {7, 1}, {99, 1}, {40, 2}});
+  // None of them is missing: no column says so.
+  expect_same({{42, 58}, {5, 0}, {0, 41}});
 }
 
 TEST(Quantize, RefusesAndCountsByReason) {
