@@ -132,10 +132,6 @@ Bounds FromProto(const v1::Box& box) {
   return {FromProto(box.min()), FromProto(box.max())};
 }
 
-core::ColumnSpec FromProto(const v1::ColumnSpec& spec) {
-  return {spec.name(), static_cast<core::ScalarType>(spec.type())};
-}
-
 ProcessOptions FromProto(const v1::SpdfOptions& options) {
   ProcessOptions result;
   if (options.has_vote_scale_m2()) {
@@ -162,6 +158,10 @@ ProcessOptions FromProto(const v1::SpdfOptions& options) {
 }
 
 }  // namespace
+
+core::ColumnSpec FromProto(const v1::ColumnSpec& spec) {
+  return {spec.name(), static_cast<core::ScalarType>(spec.type())};
+}
 
 absl::Status ToStatus(const grpc::Status& status) {
   return {static_cast<absl::StatusCode>(status.error_code()),

@@ -130,7 +130,7 @@ class SyncReader {
                               block.positions.end());
     }
     if (!part.is_last()) return absl::OkStatus();
-    const SyncChunk whole = std::exchange(chunk_, {});
+    const SyncChunk whole = std::exchange(chunk_, SyncChunk());
     return visit_(whole);
   }
 

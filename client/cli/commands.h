@@ -67,8 +67,9 @@ struct QueryCommand {
 absl::Status RunQuery(const CommonOptions& common, const QueryCommand& command);
 
 struct ExportCommand {
-  /// Of raw points.
+  /// Of raw points, without its region.
   QuerySpec spec;
+  RegionArguments region;
   OccupancyOptions occupancy;
   std::string output;
 };

@@ -375,12 +375,11 @@ core::Point3 PointOf(const std::vector<double>& coordinates) {
 
 void AddExport(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<ExportCommand>();
-  auto region = std::make_shared<RegionOptions>();
   auto origin = std::make_shared<std::vector<double>>();
   CLI::App* command = app.add_subcommand(
       "export", "Write the uploaded points of a region as an OctoMap");
   command->add_option("MAP", options->spec.map_id, "Id of the map")->required();
-  region->AddTo(*command);
+  AddQueryRegion(*command, options->region);
   command
       ->add_option("--occupancy", options->occupancy.voxel_edge,
                    "Edge of a voxel in map units; one that holds a point is "
@@ -397,7 +396,6 @@ void AddExport(CLI::App& app, const CommonOptions& common, Run& run) {
       ->required();
   command->callback([=, &common, &run] {
     options->spec.raw = true;
-    options->spec.region = region->region();
     options->occupancy.origin = PointOf(*origin);
     run = [=, &common] { return RunExport(common, *options); };
   });

@@ -336,17 +336,19 @@ absl::Status RunQuery(const CommonOptions& common,
 absl::Status RunExport(const CommonOptions& common,
                        const ExportCommand& command) {
   const Clock::time_point start = Clock::now();
+  QuerySpec spec = command.spec;
+  MAPSIEVE_ASSIGN_OR_RETURN(spec.region, MakeQueryRegion(command.region));
   MapClient client(common.server);
   // An answer may take long: what cannot be written is refused before.
   MAPSIEVE_ASSIGN_OR_RETURN(
       const std::unique_ptr<PointWriter> writer,
       CreateOccupancyFile(command.output, command.occupancy));
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<QueryStream> stream,
-                            client.Query(command.spec));
+                            client.Query(spec));
   MAPSIEVE_ASSIGN_OR_RETURN(
       const int64_t count,
-      WriteAnswer("export " + command.spec.map_id, *stream, *writer));
-  PrintResult(common.json, {{"map", command.spec.map_id},
+      WriteAnswer("export " + spec.map_id, *stream, *writer));
+  PrintResult(common.json, {{"map", spec.map_id},
                             {"revision", stream->header().revision},
                             {"point_count", count},
                             {"export_s", SecondsSince(start)},

@@ -17,6 +17,7 @@
 #include "server/engine/chunk_reader.h"
 #include "server/engine/field_error.h"
 #include "server/engine/query_checks.h"
+#include "server/engine/region.h"
 #include "server/engine/region_query.h"
 
 namespace mapsieve::engine {

@@ -12,6 +12,7 @@
 #include "mapsieve/v1/types.pb.h"
 #include "mapsieve/v1/upload_service.pb.h"
 #include "server/engine/query.h"
+#include "server/engine/sync.h"
 #include "server/engine/types.h"
 #include "server/engine/verify.h"
 

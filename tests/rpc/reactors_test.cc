@@ -85,6 +85,8 @@ class MockEngine : public engine::Engine {
   MOCK_METHOD(void, StopWatching, (int64_t), (override));
   MOCK_METHOD(Or<std::unique_ptr<engine::QueryCursor>>, Query,
               (const engine::QuerySpec&, std::stop_token), (override));
+  MOCK_METHOD(Or<std::unique_ptr<engine::SyncCursor>>, Sync,
+              (const engine::SyncSpec&, std::stop_token), (override));
   MOCK_METHOD(Or<std::unique_ptr<engine::VerifyCursor>>, Verify,
               (const engine::VerifySpec&, std::stop_token), (override));
   MOCK_METHOD(Or<engine::Operation>, RepairMap, (Id), (override));
