@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -27,6 +29,20 @@ std::string SourceOf(const SyncCommand& command, const MapInfo& map) {
       .dump();
 }
 
+/// kInvalidArgument: as float32, which the files have, positions around
+/// `corner` would be more than a centimetre off.
+absl::Status CheckRounding(const core::Point3& corner) {
+  constexpr double kMaxRounding = 0.01;
+  const double rounding =
+      0x1p-24 *
+      std::max({std::abs(corner.x), std::abs(corner.y), std::abs(corner.z)});
+  if (rounding <= kMaxRounding) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("the files hold float32, which would move points near (",
+                   corner.x, ", ", corner.y, ", ", corner.z, ") by up to ",
+                   rounding, "; give an --origin near them"));
+}
+
 /// Writes the points of a chunk; nothing for none.
 absl::StatusOr<HeldChunk> WriteChunk(const std::filesystem::path& folder,
                                      const SyncChunk& chunk,
@@ -38,6 +54,7 @@ absl::StatusOr<HeldChunk> WriteChunk(const std::filesystem::path& folder,
       .corner = {corner.x - origin.x, corner.y - origin.y, corner.z - origin.z},
       .point_count = static_cast<int64_t>(chunk.points.size())};
   if (held.point_count == 0) return held;
+  MAPSIEVE_RETURN_IF_ERROR(CheckRounding(held.corner));
   // The id makes another file of a chunk that changed, for readers that know
   // files by their names.
   held.file = absl::StrCat(chunk.tile.x, "_", chunk.tile.y, "_", chunk.tile.z,

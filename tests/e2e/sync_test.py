@@ -16,7 +16,7 @@ import unittest
 from programs import Server, answer_of, mapsieve
 
 TILE = 4.096
-AROUND = (6.0, 6.0, 1.0, 5.0)
+RADIUS = 5.0
 
 
 def points_of_pcd(path):
@@ -53,19 +53,28 @@ class Sync(unittest.TestCase):
         self.server = self.enterContext(Server(self.work / "data"))
         self.folder = self.work / "window"
         mapsieve("simulate", self.work / "scan.las", "--points", 60000)
+        mapsieve("convert", self.work / "scan.las", self.work / "scan.csv")
+        names, rows = answer_of(self.work / "scan.csv")
+        columns = [names.index(axis) for axis in "xyz"]
+        points = sorted(tuple(float(row[i]) for i in columns) for row in rows)
+        self.around = (*points[len(points) // 2], RADIUS)
+        self.origin = tuple(map(math.floor, self.around[:3]))
         self.server.mapsieve("create", "map", "--tile-edge", TILE)
         self.server.mapsieve("upload", "map", self.work / "scan.las")
         self.server.mapsieve("process", "map", "--rho", 0.4)
 
-    def sync(self, around=AROUND, *options):
+    def sync(self, *options, around=None, origin=None):
         return self.server.mapsieve("sync", "map", self.folder, "--around",
-                                    *around, *options)
+                                    *(around or self.around), "--origin",
+                                    *(origin or self.origin), *options)
 
     def window(self):
         return (self.folder / "current").resolve(strict=True)
 
-    def check_window(self, around=AROUND, origin=(0, 0, 0)):
+    def check_window(self, around=None, origin=None):
         """Every tile is whole, and all around the place is there."""
+        around = around or self.around
+        origin = origin or self.origin
         window = self.window()
         size, corners = metadata_of(window)
         self.assertEqual(size, (TILE, TILE))
@@ -116,9 +125,10 @@ class Sync(unittest.TestCase):
 
         # A clump far enough from most tiles for their product to stay.
         clump = self.work / "clump.csv"
+        x, y, z = self.around[:3]
         clump.write_text("x,y,z\n" + "".join(
-            f"{3 + i % 7 / 50:.3f},{3 + i // 7 % 7 / 50:.3f},"
-            f"{1 + i // 49 / 50:.3f}\n" for i in range(343)))
+            f"{x + i % 7 / 50:.3f},{y + i // 7 % 7 / 50:.3f},"
+            f"{z + i // 49 / 50:.3f}\n" for i in range(343)))
         self.server.mapsieve("upload", "map", clump)
         self.server.mapsieve("process", "map")
         inodes = {path.name: path.stat().st_ino for path in window.iterdir()}
@@ -128,27 +138,29 @@ class Sync(unittest.TestCase):
         self.assertLess(changed["received_chunk_count"],
                         changed["chunk_count"])
         kept = [path for path in self.window().glob("*.pcd")
-                if inodes.get(path.name) == path.stat().st_ino]
-        self.assertEqual(len(kept), changed["chunk_count"] -
-                         changed["received_chunk_count"])
+                if path.name in inodes]
+        self.assertGreater(len(kept), 0)
+        for path in kept:
+            self.assertEqual(path.stat().st_ino, inodes[path.name])
         # Who was still in the window before finds it whole.
         self.assertEqual(sorted(inodes),
                          sorted(path.name for path in window.iterdir()))
 
-        there = (20.0, 14.0, 1.0, 5.0)
-        moved = self.sync(there)
+        there = (x + 9, y, z, RADIUS)
+        moved = self.sync(around=there)
         self.assertGreater(moved["dropped_chunk_count"], 0)
         self.check_window(there)
         self.assertFalse(window.exists())
 
     def test_other_options_are_another_window(self):
         fine = self.sync()
-        coarse = self.sync(AROUND, "--depth", 2)
+        coarse = self.sync("--depth", 2)
         self.assertEqual(coarse["received_chunk_count"],
                          coarse["chunk_count"])
         self.assertLess(coarse["point_count"], fine["point_count"])
-        origin = (5.5, -3.25, 1.0)
-        self.sync(AROUND, "--origin", *origin)
+        origin = tuple(c + 0.25 for c in self.origin)
+        moved = self.sync(origin=origin)
+        self.assertEqual(moved["received_chunk_count"], fine["chunk_count"])
         self.check_window(origin=origin)
 
     def test_a_break_leaves_a_whole_window(self):
@@ -184,7 +196,8 @@ class Sync(unittest.TestCase):
         self.refused("holds other things", "map", other)
         self.assertEqual([path.name for path in other.iterdir()],
                          ["letter.txt"])
-        self.refused("map none", "none", self.folder)
+        self.refused('map "none"', "none", self.folder)
+        self.refused("give an --origin", "map", self.folder)
         self.assertEqual(self.window(), window)
         copy = self.work / "copy"
         shutil.copytree(window, copy)
@@ -196,7 +209,7 @@ class Sync(unittest.TestCase):
 
     def refused(self, message, *arguments):
         result = self.server.run_command("sync", *arguments, "--around",
-                                         *AROUND)
+                                         *self.around)
         self.assertEqual(result.returncode, 1, result.stdout)
         self.assertIn(message, result.stderr)
 

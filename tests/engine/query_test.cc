@@ -423,7 +423,7 @@ TEST(RegionQuery, ResumesBehindAnyBatchByteForByteFromItsRevision) {
   std::vector<std::pair<QuerySpec, Batches>> answers;
   for (const QuerySpec& spec :
        {QuerySpec{.map_id = "map", .resume_key = 7},
-        QuerySpec{.map_id = "map", .max_points = 1000, .resume_key = 8},
+        QuerySpec{.map_id = "map", .max_points = 2000, .resume_key = 8},
         QuerySpec{.map_id = "map", .raw = true, .resume_key = 9}}) {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(Batches batches, ask(spec));
     ASSERT_GE(batches.blocks.size(), 2U);

@@ -259,6 +259,9 @@ TEST_F(DocumentedErrorsTest, DamagedChunksAreDataLoss) {
     file.put('\x55');
   }
   EXPECT_THAT(client_->Query(QueryOf("campus")), StatusIs(Code::kDataLoss, _));
+  EXPECT_THAT(
+      Call("QueryService.SyncRegion", {"query { name: 'maps/campus' }"}),
+      StatusIs(Code::kDataLoss, _));
   for (const v1::Operation& operation :
        {Start("MapService.DeleteRegion",
               "name: 'maps/campus' sphere { center {} radius: 1 }"),
@@ -266,6 +269,12 @@ TEST_F(DocumentedErrorsTest, DamagedChunksAreDataLoss) {
               "name: 'maps/campus' options { density_radius_m: 0.5 }")}) {
     EXPECT_THAT(client_->Wait(operation.name()), StatusIs(Code::kDataLoss, _));
   }
+}
+
+template <typename Request>
+Request OfCampus(Request request) {
+  request.set_name("maps/campus");
+  return request;
 }
 
 TEST_F(DocumentedErrorsTest, CallersEndStreams) {
@@ -278,9 +287,11 @@ TEST_F(DocumentedErrorsTest, CallersEndStreams) {
         Call(method, {"name: 'maps/campus'"}, nullptr, absl::Nanoseconds(1)),
         StatusIs(Code::kDeadlineExceeded, _));
   }
+  EXPECT_THAT(Call("QueryService.SyncRegion", {"query { name: 'maps/campus' }"},
+                   nullptr, absl::Nanoseconds(1)),
+              StatusIs(Code::kDeadlineExceeded, _));
   const auto expect_cancelled = [&](const auto& start, auto request,
                                     auto response) {
-    request.set_name("maps/campus");
     const auto context = client_->NewContext();
     const auto stream = start(context.get(), request);
     context->TryCancel();
@@ -292,17 +303,24 @@ TEST_F(DocumentedErrorsTest, CallersEndStreams) {
       [&](auto* context, const auto& request) {
         return client_->maps->WatchMap(context, request);
       },
-      v1::WatchMapRequest(), v1::WatchMapResponse());
+      OfCampus(v1::WatchMapRequest()), v1::WatchMapResponse());
   expect_cancelled(
       [&](auto* context, const auto& request) {
         return client_->maps->VerifyMap(context, request);
       },
-      v1::VerifyMapRequest(), v1::VerifyMapResponse());
+      OfCampus(v1::VerifyMapRequest()), v1::VerifyMapResponse());
   expect_cancelled(
       [&](auto* context, const auto& request) {
         return client_->queries->QueryRegion(context, request);
       },
-      v1::QueryRegionRequest(), v1::QueryRegionResponse());
+      OfCampus(v1::QueryRegionRequest()), v1::QueryRegionResponse());
+  v1::SyncRegionRequest sync;
+  *sync.mutable_query() = OfCampus(v1::QueryRegionRequest());
+  expect_cancelled(
+      [&](auto* context, const auto& request) {
+        return client_->queries->SyncRegion(context, request);
+      },
+      sync, v1::SyncRegionResponse());
 }
 
 }  // namespace

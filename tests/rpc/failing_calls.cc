@@ -133,6 +133,19 @@ const FailingCalls& AtRest() {
        Code::kOutOfRange,
        {"name: 'maps/campus' revision: 9"}},
 
+      {"QueryService.SyncRegion",
+       Code::kInvalidArgument,
+       {"query { name: 'maps/campus' max_point_count: 9 }"}},
+      {"QueryService.SyncRegion",
+       Code::kNotFound,
+       {"query { name: 'maps/campus' columns { attributes: 'none' } }"}},
+      {"QueryService.SyncRegion",
+       Code::kFailedPrecondition,
+       {"query { name: 'maps/empty' }"}},
+      {"QueryService.SyncRegion",
+       Code::kOutOfRange,
+       {"query { name: 'maps/campus' revision: 9 }"}},
+
       {"Operations.GetOperation", Code::kInvalidArgument, {"name: 'x'"}},
       {"Operations.GetOperation", Code::kNotFound, {"name: 'operations/x'"}},
       {"Operations.ListOperations", Code::kInvalidArgument, {"page_size: -1"}},
@@ -214,6 +227,12 @@ const std::vector<ElsewherePlace>& Elsewhere() {
        "DocumentedErrorsTest.CallersEndStreams"},
       {{"QueryService.QueryRegion", false, "DEADLINE_EXCEEDED"},
        "DocumentedErrorsTest.CallersEndStreams"},
+      {{"QueryService.SyncRegion", false, "DATA_LOSS"},
+       "DocumentedErrorsTest.DamagedChunksAreDataLoss"},
+      {{"QueryService.SyncRegion", false, "CANCELLED"},
+       "DocumentedErrorsTest.CallersEndStreams"},
+      {{"QueryService.SyncRegion", false, "DEADLINE_EXCEEDED"},
+       "DocumentedErrorsTest.CallersEndStreams"},
       {{"MapService.VerifyMap", false, "CANCELLED"},
        "DocumentedErrorsTest.CallersEndStreams"},
       {{"MapService.VerifyMap", false, "DEADLINE_EXCEEDED"},
@@ -239,6 +258,8 @@ const std::vector<ElsewherePlace>& Elsewhere() {
 
 const std::vector<Place>& NotProvoked() {
   static const auto& places = *new std::vector<Place>{
+      {"QueryService.QueryRegion", false, "ABORTED"},
+      {"QueryService.SyncRegion", false, "RESOURCE_EXHAUSTED"},
       {"MapService.VerifyMap", false, "DATA_LOSS"},
       {"MapService.RepairMap", true, "DATA_LOSS"},
       {"MapService.RepairMap", true, "UNAVAILABLE"},

@@ -60,6 +60,58 @@ class QueryServiceTest : public ServiceTest {
   std::shared_ptr<EndedQueries> ended_ = std::make_shared<EndedQueries>();
 };
 
+// All messages of a call.
+std::vector<v1::SyncRegionResponse> Sync(TestClient& client,
+                                         const v1::SyncRegionRequest& request) {
+  std::vector<v1::SyncRegionResponse> responses;
+  const auto context = client.NewContext();
+  const auto stream = client.queries->SyncRegion(context.get(), request);
+  for (v1::SyncRegionResponse response; stream->Read(&response);) {
+    responses.push_back(response);
+  }
+  MAPSIEVE_EXPECT_OK(FromGrpc(stream->Finish()));
+  return responses;
+}
+
+TEST_F(QueryServiceTest, WhoHoldsEveryChunkGetsOneShortMessage) {
+  MakeCampus(20'000);
+  v1::SyncRegionRequest request;
+  request.mutable_query()->set_name("maps/campus");
+  const auto whole = Sync(*client_, request);
+  ASSERT_GE(whole.size(), 3U);
+  EXPECT_TRUE(whole.front().has_header());
+  const v1::SyncSummary& summary = whole.back().summary();
+  int64_t chunk_count = 0;
+  for (const v1::SyncRegionResponse& response : whole) {
+    if (!response.part().is_last()) continue;
+    ++chunk_count;
+    request.add_held_chunk_ids(response.part().chunk_id());
+  }
+  EXPECT_EQ(summary.chunk_count(), chunk_count);
+  EXPECT_EQ(summary.sent_chunk_count(), chunk_count);
+
+  auto again = Sync(*client_, request);
+  ASSERT_EQ(again.size(), 1U);
+  EXPECT_LT(again[0].ByteSizeLong(), 1000U);
+  EXPECT_EQ(again[0].summary().chunk_count(), chunk_count);
+  EXPECT_EQ(again[0].summary().sent_chunk_count(), 0);
+  EXPECT_EQ(again[0].summary().dropped_chunk_ids_size(), 0);
+
+  // Ids that are none of the region's are named, each once.
+  request.add_held_chunk_ids("stale");
+  request.add_held_chunk_ids("stale");
+  again = Sync(*client_, request);
+  ASSERT_EQ(again.size(), 1U);
+  ASSERT_EQ(again[0].summary().dropped_chunk_ids_size(), 1);
+  EXPECT_EQ(again[0].summary().dropped_chunk_ids(0), "stale");
+
+  // Another query has other chunks.
+  request.mutable_query()->add_labels(v1::LABEL_SURFACE);
+  again = Sync(*client_, request);
+  EXPECT_EQ(again.back().summary().sent_chunk_count(), chunk_count);
+  EXPECT_EQ(again.back().summary().dropped_chunk_ids_size(), chunk_count + 1);
+}
+
 TEST_F(QueryServiceTest, EveryRegionTravelsFromTheClientToTheEngine) {
   MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
   MAPSIEVE_ASSERT_OK(client_->Upload("campus", "u", TestScene(20'000)));
