@@ -342,9 +342,16 @@ TEST_F(QueryServiceTest, TheServerStopsSoonAfterTheClientLeaves) {
     const int before = ended_->count();
     grpc::ClientContext context;
     const bool by_deadline = i % 2 == 0;
-    const absl::Time end = absl::Now() + absl::Milliseconds(2 * i);
+    absl::Time end = absl::Now() + absl::Milliseconds(100 + 2 * i);
     if (by_deadline) context.set_deadline(absl::ToChronoTime(end));
     const auto stream = client_->queries->QueryRegion(&context, request);
+    // The header tells that the call has come to the server.
+    v1::QueryRegionResponse header;
+    if (!stream->Read(&header)) {
+      stream->Finish();
+      continue;
+    }
+    if (!by_deadline) end = absl::Now() + absl::Milliseconds(2 * i);
     absl::SleepFor(end - absl::Now());
     if (!by_deadline) context.TryCancel();
     while (ended_->count() == before) absl::SleepFor(absl::Microseconds(100));
