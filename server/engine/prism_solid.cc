@@ -129,7 +129,8 @@ bool PrismSolid::EdgeMeets(const PositionBox& box) const {
                    .Magnitude(),
                PositionBox{{box.min.x, box.min.y, 0}, {box.max.x, box.max.y, 0}}
                    .Magnitude())));
-  const auto& [low, high] = near;
+  const Point3& low = near.min;
+  const Point3& high = near.max;
   return std::any_of(edges_.begin(), edges_.end(), [&](const Edge& edge) {
     const auto& [a, b] = edge;
     if (std::max(a.x, b.x) < low.x || std::min(a.x, b.x) > high.x ||
