@@ -63,11 +63,11 @@ absl::Status WriteText(const fs::path& path, std::string_view text) {
 
 std::string MetadataOf(const SyncWindow& window) {
   std::string text =
-      absl::StrFormat("x_resolution: %.17g\ny_resolution: %.17g\n",
+      absl::StrFormat("x_resolution: %.12g\ny_resolution: %.12g\n",
                       window.tile_edge, window.tile_edge);
   for (const HeldChunk& chunk : window.chunks) {
     if (chunk.file.empty()) continue;
-    absl::StrAppendFormat(&text, "%s: [%.17g, %.17g]\n", chunk.file,
+    absl::StrAppendFormat(&text, "%s: [%.12g, %.12g]\n", chunk.file,
                           chunk.corner.x, chunk.corner.y);
   }
   return text;

@@ -47,8 +47,13 @@ class OccupancyWriter final : public PointWriter {
   absl::Status Finish() override {
     tree_.updateInnerOccupancy();
     tree_.prune();
+    // What writes the heads in OctoMap talks on stderr.
     std::ostringstream bytes;
-    if (!(is_binary_ ? tree_.writeBinary(bytes) : tree_.write(bytes))) {
+    bytes << (is_binary_ ? "# Octomap OcTree binary file\n"
+                         : "# Octomap OcTree file\n")
+          << "id " << tree_.getTreeType() << "\nsize " << tree_.size()
+          << "\nres " << tree_.getResolution() << "\ndata\n";
+    if (!(is_binary_ ? tree_.writeBinaryData(bytes) : tree_.writeData(bytes))) {
       return absl::InternalError(
           absl::StrCat(file_->name(), ": OctoMap cannot write the tree"));
     }
