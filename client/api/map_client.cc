@@ -7,12 +7,10 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "absl/time/clock.h"
-#include "absl/time/time.h"
+#include "client/api/answers.h"
 #include "client/api/convert.h"
 #include "core/base/hash.h"
 #include "core/base/status.h"
-#include "core/codec/points_codec.h"
 #include "grpcpp/create_channel.h"
 #include "grpcpp/security/credentials.h"
 #include "mapsieve/v1/map_service.grpc.pb.h"
@@ -28,10 +26,6 @@ namespace {
 constexpr size_t kPieceBytes = 1 << 20;
 /// Seconds of one WaitOperation: how often progress is seen.
 constexpr int kWaitSeconds = 1;
-/// How often an answer that breaks off is asked for again, and the first pause
-/// before it; each further one is twice as long.
-constexpr int kResumes = 6;
-constexpr absl::Duration kFirstPause = absl::Milliseconds(100);
 constexpr int64_t kRevisionsOfAPage = 1000;
 constexpr int kTilesOfAPage = 1000;
 
@@ -57,187 +51,6 @@ absl::StatusOr<Digest> DigestOf(BlockSource& source) {
   digest.refused = source.refused();
   return digest;
 }
-
-/// Gives the points of a block every one of `columns`, in that order.
-absl::Status CompleteColumns(const std::vector<core::ColumnSpec>& columns,
-                             core::LatticeCloud& cloud) {
-  core::ColumnSet complete;
-  for (const core::ColumnSpec& spec : columns) {
-    core::Column* found = cloud.attributes.Find(spec.name);
-    if (found == nullptr) {
-      core::Column missing(spec);
-      missing.AppendMissing(cloud.size());
-      MAPSIEVE_RETURN_IF_ERROR(complete.Add(std::move(missing)));
-      continue;
-    }
-    if (!(found->spec() == spec)) {
-      return absl::DataLossError(
-          absl::StrCat("column \"", spec.name,
-                       "\" of a batch has another type than the header says"));
-    }
-    MAPSIEVE_RETURN_IF_ERROR(complete.Add(std::move(*found)));
-  }
-  cloud.attributes = std::move(complete);
-  return absl::OkStatus();
-}
-
-/// Puts the parts of a synchronisation together.
-class SyncReader {
- public:
-  explicit SyncReader(
-      const std::function<absl::Status(const SyncChunk&)>& visit)
-      : visit_(visit) {}
-
-  const std::optional<SyncSummary>& summary() const { return summary_; }
-
-  absl::Status Take(const v1::SyncRegionResponse& response) {
-    if (response.has_header()) {
-      const v1::SyncHeader& header = response.header();
-      lattice_ = core::Lattice(header.step_nm());
-      tile_level_ = header.tile_level();
-      for (const v1::ColumnSpec& column : header.columns()) {
-        columns_.push_back(FromProto(column));
-      }
-      return absl::OkStatus();
-    }
-    if (response.has_part()) return TakePart(response.part());
-    if (response.has_summary()) {
-      summary_ = FromProto(response.summary());
-      return absl::OkStatus();
-    }
-    return absl::DataLossError("a message of the answer holds nothing");
-  }
-
- private:
-  absl::Status TakePart(const v1::SyncPart& part) {
-    if (chunk_.id.empty()) {
-      chunk_.id = part.chunk_id();
-      chunk_.tile = {tile_level_, part.x(), part.y(), part.z()};
-      chunk_.points.lattice = lattice_;
-      MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(columns_, chunk_.points));
-    } else if (chunk_.id != part.chunk_id()) {
-      return absl::DataLossError(
-          absl::StrCat("chunk ", chunk_.id, " of the answer is not complete"));
-    }
-    if (!part.block().empty()) {
-      MAPSIEVE_ASSIGN_OR_RETURN(core::LatticeCloud block,
-                                core::DecodePoints(TextBytes(part.block())));
-      MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(columns_, block));
-      core::LatticeCloud& points = chunk_.points;
-      MAPSIEVE_RETURN_IF_ERROR(points.attributes.AppendAll(
-          points.size(), block.attributes, block.size()));
-      points.positions.insert(points.positions.end(), block.positions.begin(),
-                              block.positions.end());
-    }
-    if (!part.is_last()) return absl::OkStatus();
-    const SyncChunk whole = std::exchange(chunk_, SyncChunk());
-    return visit_(whole);
-  }
-
-  const std::function<absl::Status(const SyncChunk&)>& visit_;
-  core::Lattice lattice_;
-  int tile_level_ = 0;
-  std::vector<core::ColumnSpec> columns_;
-  /// Not complete; without an id there is none.
-  SyncChunk chunk_;
-  std::optional<SyncSummary> summary_;
-};
-
-class GrpcQueryStream final : public QueryStream {
- public:
-  GrpcQueryStream(v1::QueryService::Stub& stub, const QuerySpec& spec)
-      : stub_(stub), request_(ToProto(spec)) {
-    Open();
-  }
-
-  ~GrpcQueryStream() override {
-    if (finished_) return;
-    context_->TryCancel();
-    reader_->Finish();
-  }
-
-  absl::Status ReadHeader() {
-    v1::QueryRegionResponse response;
-    if (!reader_->Read(&response)) return Broken();
-    if (!response.has_header()) {
-      return absl::DataLossError("the answer does not start with a header");
-    }
-    header_ = FromProto(response.header());
-    return absl::OkStatus();
-  }
-
-  const QueryHeader& header() const override { return header_; }
-  const QuerySummary& summary() const override { return summary_; }
-
-  absl::StatusOr<core::LatticeCloud> Next() override {
-    core::LatticeCloud end{.lattice = core::Lattice(header_.step_nm)};
-    if (finished_) return end;
-    while (true) {
-      v1::QueryRegionResponse response;
-      if (!reader_->Read(&response)) {
-        MAPSIEVE_RETURN_IF_ERROR(Resume(Broken()));
-        continue;
-      }
-      if (response.has_summary()) {
-        summary_ = FromProto(response.summary());
-        finished_ = true;
-        MAPSIEVE_RETURN_IF_ERROR(ToStatus(reader_->Finish()));
-        return end;
-      }
-      if (!response.has_batch()) {
-        return absl::DataLossError(
-            "a message of the answer is neither batch "
-            "nor summary");
-      }
-      MAPSIEVE_ASSIGN_OR_RETURN(
-          core::LatticeCloud cloud,
-          core::DecodePoints(TextBytes(response.batch().block())));
-      MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(header_.columns, cloud));
-      request_.set_resume_token(response.batch().resume_token());
-      if (cloud.size() > 0) return cloud;
-    }
-  }
-
- private:
-  void Open() {
-    reader_.reset();
-    context_ = std::make_unique<grpc::ClientContext>();
-    reader_ = stub_.QueryRegion(context_.get(), request_);
-    finished_ = false;
-  }
-
-  /// The end of a call that gave no summary; an error.
-  absl::Status Broken() {
-    finished_ = true;
-    const absl::Status status = ToStatus(reader_->Finish());
-    if (!status.ok()) return status;
-    return absl::DataLossError("the answer ended without its summary");
-  }
-
-  /// Goes on behind the last batch after a call that ended with `status`; that
-  /// status if it is not one that a new call can help, the last one if none
-  /// does.
-  absl::Status Resume(absl::Status status) {
-    if (request_.resume_token().empty()) return status;
-    absl::Duration pause = kFirstPause;
-    for (int i = 0; i < kResumes && absl::IsUnavailable(status); ++i) {
-      absl::SleepFor(pause);
-      pause *= 2;
-      Open();
-      status = ReadHeader();
-    }
-    return status;
-  }
-
-  v1::QueryService::Stub& stub_;
-  /// With the token of the last batch.
-  v1::QueryRegionRequest request_;
-  std::unique_ptr<grpc::ClientContext> context_;
-  std::unique_ptr<grpc::ClientReader<v1::QueryRegionResponse>> reader_;
-  QueryHeader header_;
-  QuerySummary summary_;
-  bool finished_ = false;
-};
 
 }  // namespace
 
@@ -661,26 +474,13 @@ absl::StatusOr<RepairReport> MapClient::Repair(
 
 absl::StatusOr<std::unique_ptr<QueryStream>> MapClient::Query(
     const QuerySpec& spec) {
-  auto stream = std::make_unique<GrpcQueryStream>(*connection_->queries, spec);
-  MAPSIEVE_RETURN_IF_ERROR(stream->ReadHeader());
-  return stream;
+  return OpenQueryStream(*connection_->queries, spec);
 }
 
 absl::StatusOr<SyncSummary> MapClient::Sync(
     const SyncSpec& spec,
     const std::function<absl::Status(const SyncChunk&)>& visit) {
-  grpc::ClientContext context;
-  const auto stream = connection_->queries->SyncRegion(&context, ToProto(spec));
-  SyncReader reader(visit);
-  v1::SyncRegionResponse response;
-  absl::Status taken;
-  while (taken.ok() && stream->Read(&response)) taken = reader.Take(response);
-  if (!taken.ok()) context.TryCancel();
-  const absl::Status finished = ToStatus(stream->Finish());
-  MAPSIEVE_RETURN_IF_ERROR(taken);
-  MAPSIEVE_RETURN_IF_ERROR(finished);
-  if (reader.summary().has_value()) return *reader.summary();
-  return absl::DataLossError("the answer ended without its summary");
+  return ReadSync(*connection_->queries, spec, visit);
 }
 
 absl::StatusOr<core::LatticeCloud> MapClient::QueryAll(const QuerySpec& spec) {

@@ -136,6 +136,7 @@ ONE_FILE = {
     "core/base/bulk_vector.h": ("posix",),
     "core/spdf/kernel_vectors.h": ("intrinsics",),
     # Not installed: what the client shows has no generated type.
+    "client/api/answers.h": ("proto", "grpc"),
     "client/api/convert.h": ("proto", "grpc"),
 }
 
