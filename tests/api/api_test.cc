@@ -12,6 +12,7 @@
 #include "tests/api/api_files.h"
 #include "tests/api/api_reference.h"
 #include "tests/api/wire_listing.h"
+#include "tests/testing/temporary_directory.h"
 
 namespace mapsieve::testing {
 namespace {
@@ -86,14 +87,10 @@ message M {
 )";
 
   std::unique_ptr<ApiFiles> Parse(const std::string& text) {
-    const std::string folder = ::testing::TempDir();
-    const std::string name =
-        absl::StrCat("api_tools_", ++file_count_, ".proto");
-    std::ofstream(folder + name) << text;
-    auto api =
-        std::make_unique<ApiFiles>(folder, std::vector<std::string>{name});
-    std::remove((folder + name).c_str());
-    return api;
+    const TemporaryDirectory folder;
+    std::ofstream(folder / "a.proto") << text;
+    return std::make_unique<ApiFiles>(folder.path(),
+                                      std::vector<std::string>{"a.proto"});
   }
 
   // Lines that a program compiled before misses once `from` is `to`.
@@ -104,8 +101,6 @@ message M {
     return BrokenLines(WireListing(before->files()),
                        WireListing(after->files()));
   }
-
-  int file_count_ = 0;
 };
 
 TEST_F(ApiToolsTest, WhateverBreaksAProgramIsSeen) {

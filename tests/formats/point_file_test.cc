@@ -22,6 +22,7 @@
 #include "gtest/gtest.h"
 #include "tests/formats/file_table.h"
 #include "tests/testing/status_matchers.h"
+#include "tests/testing/temporary_directory.h"
 
 namespace mapsieve::client {
 namespace {
@@ -30,38 +31,18 @@ using core::Column;
 using core::PointCloud;
 using core::ScalarType;
 using mapsieve::testing::StatusIs;
+using mapsieve::testing::TemporaryDirectory;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using testing::TemporaryFile;
 
-// A folder of its own for a test, removed with all in it.
-class TemporaryFolder {
- public:
-  TemporaryFolder()
-      : path_(std::filesystem::path(::testing::TempDir()) /
-              ::testing::UnitTest::GetInstance()->current_test_info()->name()) {
-    std::filesystem::remove_all(path_);
-    std::filesystem::create_directories(path_);
+std::vector<std::string> Names(const TemporaryDirectory& folder) {
+  std::vector<std::string> names;
+  for (const auto& entry : std::filesystem::directory_iterator(folder.path())) {
+    names.push_back(entry.path().filename().string());
   }
-  ~TemporaryFolder() {
-    std::error_code ignored;
-    std::filesystem::remove_all(path_, ignored);
-  }
-  TemporaryFolder(const TemporaryFolder&) = delete;
-  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
-
-  const std::filesystem::path& path() const { return path_; }
-  std::vector<std::string> Names() const {
-    std::vector<std::string> names;
-    for (const auto& entry : std::filesystem::directory_iterator(path_)) {
-      names.push_back(entry.path().filename().string());
-    }
-    return names;
-  }
-
- private:
-  std::filesystem::path path_;
-};
+  return names;
+}
 
 PointCloud OnePoint() {
   PointCloud cloud;
@@ -73,15 +54,15 @@ PointCloud OnePoint() {
 }
 
 TEST(OpenPointFile, JudgesByContentThenByExtension) {
-  const TemporaryFolder folder;
+  const TemporaryDirectory folder;
   for (const std::string written : {".las", ".pcd", ".ply", ".csv"}) {
-    const auto path = folder.path() / ("cloud" + written);
+    const auto path = folder / ("cloud" + written);
     MAPSIEVE_ASSERT_OK(WritePointFile(path, OnePoint()));
     // Text has no mark of its own, so only its extension tells.
     for (const std::string& renamed :
          {written, std::string(written == ".csv" ? ".ASC" : ".laz"),
           std::string(written == ".csv" ? ".Txt" : ".data")}) {
-      const auto other = folder.path() / ("renamed" + renamed);
+      const auto other = folder / ("renamed" + renamed);
       std::filesystem::copy_file(
           path, other, std::filesystem::copy_options::overwrite_existing);
       MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud cloud,
@@ -95,9 +76,9 @@ TEST(OpenPointFile, JudgesByContentThenByExtension) {
 }
 
 TEST(OpenPointFile, RefusesByName) {
-  const TemporaryFolder folder;
+  const TemporaryDirectory folder;
   const auto open = [&](const std::string& name, const std::string& content) {
-    const auto path = folder.path() / name;
+    const auto path = folder / name;
     std::ofstream(path, std::ios::binary) << content;
     return OpenPointFile(path);
   };
@@ -128,7 +109,7 @@ TEST(OpenPointFile, RefusesByName) {
   EXPECT_THAT(OpenPointFile(folder.path()),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        HasSubstr("is a directory")));
-  EXPECT_THAT(OpenPointFile(folder.path() / "absent.las"),
+  EXPECT_THAT(OpenPointFile(folder / "absent.las"),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("absent.las")));
   EXPECT_THAT(OpenPointFile("/dev/null"),
               StatusIs(absl::StatusCode::kInvalidArgument,
@@ -136,35 +117,35 @@ TEST(OpenPointFile, RefusesByName) {
 }
 
 TEST(CreatePointFile, RefusesByName) {
-  const TemporaryFolder folder;
+  const TemporaryDirectory folder;
   for (const char* name : {"a.laz", "a.vtk", "a.e57", "a.pts", "a.ptx"}) {
     EXPECT_THAT(
-        WritePointFile(folder.path() / name, OnePoint()),
+        WritePointFile(folder / name, OnePoint()),
         StatusIs(absl::StatusCode::kUnimplemented, HasSubstr("not written")))
         << name;
   }
   EXPECT_THAT(
-      WritePointFile(folder.path() / "a.png", OnePoint()),
+      WritePointFile(folder / "a.png", OnePoint()),
       StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("extension")));
-  EXPECT_THAT(WritePointFile(folder.path() / "no/a.las", OnePoint()),
+  EXPECT_THAT(WritePointFile(folder / "no/a.las", OnePoint()),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("a.las")));
-  std::filesystem::create_directory(folder.path() / "b.las");
-  EXPECT_THAT(WritePointFile(folder.path() / "b.las", OnePoint()),
+  std::filesystem::create_directory(folder / "b.las");
+  EXPECT_THAT(WritePointFile(folder / "b.las", OnePoint()),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        HasSubstr("is a directory")));
 }
 
 TEST(CreatePointFile, AFileAppearsWhenFinishedAndNotBefore) {
   for (const char* extension : {".las", ".pcd", ".ply", ".csv", ".xyz"}) {
-    const TemporaryFolder folder;
-    const auto path = folder.path() / absl::StrCat("cloud", extension);
+    const TemporaryDirectory folder;
+    const auto path = folder / absl::StrCat("cloud", extension);
     const WriteOptions options{.attributes = OnePoint().attributes.specs()};
     {
       MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto writer,
                                     CreatePointFile(path, options));
       MAPSIEVE_ASSERT_OK(writer->Write(OnePoint()));
     }
-    EXPECT_THAT(folder.Names(), IsEmpty());
+    EXPECT_THAT(Names(folder), IsEmpty());
     std::ofstream(path) << "old";
     {
       MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto writer,
@@ -173,18 +154,18 @@ TEST(CreatePointFile, AFileAppearsWhenFinishedAndNotBefore) {
       EXPECT_EQ(TemporaryFile::ReadFile(path), "old");
       MAPSIEVE_ASSERT_OK(writer->Finish());
     }
-    EXPECT_EQ(folder.Names().size(), 1);
+    EXPECT_EQ(Names(folder).size(), 1);
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud cloud, ReadPointFile(path));
     EXPECT_EQ(cloud.size(), 1);
   }
 }
 
 TEST(CreatePointFile, WritesRefuseOtherAttributes) {
-  const TemporaryFolder folder;
+  const TemporaryDirectory folder;
   for (const char* extension : {".las", ".pcd", ".ply", ".csv"}) {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
         const auto writer,
-        CreatePointFile(folder.path() / absl::StrCat("a", extension),
+        CreatePointFile(folder / absl::StrCat("a", extension),
                         {.attributes = OnePoint().attributes.specs()}));
     PointCloud lacking = OnePoint();
     lacking.attributes.columns().clear();
@@ -212,25 +193,25 @@ TEST(CreatePointFile, WritesRefuseOtherAttributes) {
 }
 
 TEST(OutputFile, OverwritesWhatWasAppended) {
-  const TemporaryFolder folder;
+  const TemporaryDirectory folder;
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(auto file,
-                                OutputFile::Create(folder.path() / "a.las"));
+                                OutputFile::Create(folder / "a.las"));
   MAPSIEVE_ASSERT_OK(file->Append("abc"));
   MAPSIEVE_ASSERT_OK(file->Overwrite(1, TextBytes("x")));
   MAPSIEVE_ASSERT_OK(file->Append("d"));
   EXPECT_EQ(file->size(), 4);
   MAPSIEVE_ASSERT_OK(file->Finish());
-  EXPECT_EQ(TemporaryFile::ReadFile(folder.path() / "a.las"), "axcd");
+  EXPECT_EQ(TemporaryFile::ReadFile(folder / "a.las"), "axcd");
 }
 
 TEST(OutputFile, AFailedWriteStaysFailedAndLeavesNothing) {
-  const TemporaryFolder folder;
+  const TemporaryDirectory folder;
   rlimit before{};
   ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &before), 0);
   const auto handler = std::signal(SIGXFSZ, SIG_IGN);
   {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(auto file,
-                                  OutputFile::Create(folder.path() / "a.las"));
+                                  OutputFile::Create(folder / "a.las"));
     // A limit on the size of files stands for a disk that is full.
     const rlimit small{.rlim_cur = 1000, .rlim_max = before.rlim_max};
     ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &small), 0);
@@ -244,7 +225,7 @@ TEST(OutputFile, AFailedWriteStaysFailedAndLeavesNothing) {
     EXPECT_EQ(file->Finish(), failed);
   }
   std::signal(SIGXFSZ, handler);
-  EXPECT_THAT(folder.Names(), IsEmpty());
+  EXPECT_THAT(Names(folder), IsEmpty());
 }
 
 TEST(InputCursor, GivesBytesLinesAndWordsOverTheBuffersEdges) {

@@ -20,6 +20,7 @@
 #include "storage/scratch_store.h"
 #include "storage/space_reserve.h"
 #include "tests/fuzz/check.h"
+#include "tests/testing/temporary_directory.h"
 
 namespace mapsieve::engine {
 namespace {
@@ -46,12 +47,12 @@ void CheckRecord(std::string_view bytes, const Parse& parse,
 /// What a run finds of an earlier one whose log is `log`.
 std::vector<std::vector<std::byte>> FinishedVisits(
     std::span<const std::byte> log) {
-  static const mapsieve::testing::MemoryFolder folder;
+  static const mapsieve::testing::TemporaryDirectory folder;
   static const storage::SpaceReserve reserve(storage::PosixFileSystem(),
-                                             folder.path().string(), 0);
+                                             folder.path(), 0);
   const auto open = [] {
-    return storage::Scratch::OpenLasting(
-        storage::PosixFileSystem(), (folder.path() / "run").string(), reserve);
+    return storage::Scratch::OpenLasting(storage::PosixFileSystem(),
+                                         folder / "run", reserve);
   };
   const std::string key = "key";
   const auto scratch = open();

@@ -24,6 +24,7 @@
 #include "core/base/status.h"
 #include "core/cloud/point_cloud.h"
 #include "tests/fuzz/check.h"
+#include "tests/testing/temporary_directory.h"
 
 namespace mapsieve::client {
 namespace {
@@ -199,8 +200,8 @@ void CheckWriter(const PointCloud& cloud, const PointFileInfo& info,
 }
 
 void CheckFile(std::string_view bytes) {
-  static const mapsieve::testing::MemoryFolder folder;
-  const std::filesystem::path path = folder.path() / "input";
+  static const mapsieve::testing::TemporaryDirectory folder;
+  const std::filesystem::path path = folder / "input";
   std::ofstream(path, std::ios::binary | std::ios::trunc) << bytes;
 
   const auto reader = format->open(path);
@@ -214,7 +215,7 @@ void CheckFile(std::string_view bytes) {
         "the points do not depend on the batches");
   for (const char* const name : {"written.las", "written.pcd", "written.ply",
                                  "written.csv", "written.xyz"}) {
-    CheckWriter(*cloud, (*reader)->info(), folder.path() / name);
+    CheckWriter(*cloud, (*reader)->info(), folder / name);
   }
 }
 

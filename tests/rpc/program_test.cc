@@ -20,6 +20,7 @@
 #include "gtest/gtest.h"
 #include "tests/rpc/test_client.h"
 #include "tests/testing/status_matchers.h"
+#include "tests/testing/temporary_directory.h"
 
 namespace mapsieve::rpc {
 namespace {
@@ -137,7 +138,7 @@ class ProgramTest : public ::testing::Test {
     return Run(Arguments({"--listen", "127.0.0.1:0", "--threads", "1"}));
   }
 
-  TempFolder folder_;
+  testing::TemporaryDirectory folder_;
 };
 
 TEST_F(ProgramTest, ServesAndEndsOnASignal) {

@@ -7,6 +7,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/testing/status_matchers.h"
+#include "tests/testing/temporary_directory.h"
 
 namespace mapsieve::rpc {
 namespace {
@@ -24,10 +25,11 @@ ServerOptions OptionsFor(const std::string& data_dir) {
   return options;
 }
 
-std::string WriteConfig(const std::string& name, const std::string& text) {
-  const std::string path = ::testing::TempDir() + name;
-  std::ofstream(path) << text;
-  return path;
+absl::Status ApplyConfig(const std::string& name, const std::string& text,
+                         ServerOptions& options) {
+  const testing::TemporaryDirectory folder;
+  std::ofstream(folder / name) << text;
+  return ApplyConfigFile(folder / name, options);
 }
 
 TEST(ListenAddress, ReadsHostAndPort) {
@@ -121,17 +123,17 @@ TEST(ApplySetting, NamesTheSettingAndTheValue) {
 
 TEST(ApplyConfigFile, ReadsEverySetting) {
   ServerOptions options;
-  MAPSIEVE_ASSERT_OK(ApplyConfigFile(WriteConfig("every.conf",
-                                                 "# comment\n"
-                                                 "\n"
-                                                 "data = /tmp/some dir#1\n"
-                                                 "  listen=0.0.0.0:99  \n"
-                                                 "memory = 1GiB\n"
-                                                 "threads = 3\n"
-                                                 "keep-revisions = 12\n"
-                                                 "insecure = true\r\n"
-                                                 "log-level = debug"),
-                                     options));
+  MAPSIEVE_ASSERT_OK(ApplyConfig("every.conf",
+                                 "# comment\n"
+                                 "\n"
+                                 "data = /tmp/some dir#1\n"
+                                 "  listen=0.0.0.0:99  \n"
+                                 "memory = 1GiB\n"
+                                 "threads = 3\n"
+                                 "keep-revisions = 12\n"
+                                 "insecure = true\r\n"
+                                 "log-level = debug",
+                                 options));
   EXPECT_EQ(options.data_dir, "/tmp/some dir#1");
   EXPECT_EQ(options.listen.ToString(), "0.0.0.0:99");
   EXPECT_EQ(options.memory_bytes, int64_t{1} << 30);
@@ -144,10 +146,10 @@ TEST(ApplyConfigFile, ReadsEverySetting) {
 TEST(ApplyConfigFile, NamesFileAndLine) {
   ServerOptions options;
   EXPECT_THAT(
-      ApplyConfigFile(WriteConfig("line.conf", "data = d\nthreads\n"), options),
+      ApplyConfig("line.conf", "data = d\nthreads\n", options),
       StatusIs(kInvalid, HasSubstr("line.conf:2: expected NAME = VALUE")));
   EXPECT_THAT(
-      ApplyConfigFile(WriteConfig("name.conf", "datum = d\n"), options),
+      ApplyConfig("name.conf", "datum = d\n", options),
       StatusIs(kInvalid, AllOf(HasSubstr("name.conf:1"), HasSubstr("datum"))));
   EXPECT_THAT(ApplyConfigFile("/nowhere/at/all.conf", options),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("/nowhere")));

@@ -14,6 +14,7 @@
 #include "spdlog/logger.h"
 #include "tests/rpc/test_client.h"
 #include "tests/testing/status_matchers.h"
+#include "tests/testing/temporary_directory.h"
 
 namespace mapsieve::rpc {
 
@@ -46,7 +47,7 @@ class ServiceTest : public ::testing::Test {
 
   static constexpr char kUpload[] = "maps/campus/uploads/u";
 
-  TempFolder folder_;
+  testing::TemporaryDirectory folder_;
   spdlog::logger logger_{"test"};
   std::unique_ptr<Server> server_;
   std::unique_ptr<TestClient> client_;

@@ -1,7 +1,5 @@
 #include "tests/rpc/test_client.h"
 
-#include <stdlib.h>
-
 #include <algorithm>
 #include <chrono>
 #include <numeric>
@@ -16,17 +14,6 @@
 #include "tests/testing/clouds.h"
 
 namespace mapsieve::rpc {
-
-TempFolder::TempFolder() {
-  std::string name = ::testing::TempDir() + "mapsieve_rpc_XXXXXX";
-  if (mkdtemp(name.data()) == nullptr) ADD_FAILURE() << name;
-  path_ = name;
-}
-
-TempFolder::~TempFolder() {
-  std::error_code ignored;
-  std::filesystem::remove_all(path_, ignored);
-}
 
 absl::Status FromGrpc(const grpc::Status& status) {
   return absl::Status(static_cast<absl::StatusCode>(status.error_code()),

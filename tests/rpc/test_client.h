@@ -3,7 +3,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <filesystem>
 #include <memory>
 #include <span>
 #include <string>
@@ -20,20 +19,6 @@
 #include "mapsieve/v1/upload_service.grpc.pb.h"
 
 namespace mapsieve::rpc {
-
-/// An empty folder that goes away.
-class TempFolder {
- public:
-  TempFolder();
-  ~TempFolder();
-  TempFolder(const TempFolder&) = delete;
-  TempFolder& operator=(const TempFolder&) = delete;
-
-  std::string path() const { return path_.string(); }
-
- private:
-  std::filesystem::path path_;
-};
 
 absl::Status FromGrpc(const grpc::Status& status);
 

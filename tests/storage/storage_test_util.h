@@ -3,8 +3,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <cstdlib>
-#include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <span>
@@ -15,38 +13,11 @@
 #include "core/base/bytes.h"
 #include "core/base/hash.h"
 #include "storage/catalogue.h"
+#include "tests/testing/temporary_directory.h"
 
 namespace mapsieve::storage {
 
-/// A new empty directory, removed at the end; in memory where the system
-/// offers that, since syncs to a disk take most of a test's time.
-class TemporaryDirectory {
- public:
-  TemporaryDirectory() {
-    const std::filesystem::path memory = "/dev/shm";
-    std::error_code error;
-    const auto space = std::filesystem::space(memory, error);
-    const bool use_memory = !error && space.available > (32u << 20);
-    std::string pattern =
-        (use_memory ? memory : std::filesystem::temp_directory_path()) /
-        "mapsieve-XXXXXX";
-    path_ = ::mkdtemp(pattern.data());
-  }
-  ~TemporaryDirectory() {
-    std::error_code ignored;
-    std::filesystem::remove_all(path_, ignored);
-  }
-  TemporaryDirectory(const TemporaryDirectory&) = delete;
-  TemporaryDirectory& operator=(const TemporaryDirectory&) = delete;
-
-  const std::string& path() const { return path_; }
-  std::string operator/(const std::string& name) const {
-    return path_ + "/" + name;
-  }
-
- private:
-  std::string path_;
-};
+using mapsieve::testing::TemporaryDirectory;
 
 inline std::vector<std::byte> Bytes(std::string_view text) {
   const auto bytes = TextBytes(text);
