@@ -75,7 +75,7 @@ class GrpcServer final : public Server {
         engine_(std::move(engine)),
         unary_workers_(kUnaryWorkers),
         stream_workers_(std::max(kMinStreamWorkers, ThreadCount(options))),
-        calls_{&unary_workers_, &stream_workers_, &admission_,
+        calls_{&unary_workers_, &stream_workers_, &opening_worker_, &admission_,
                [&logger](const char* method, const absl::Status& status) {
                  LogCall(logger, method, status);
                }},
@@ -173,6 +173,7 @@ class GrpcServer final : public Server {
   Admission admission_;
   WorkerPool unary_workers_;
   WorkerPool stream_workers_;
+  WorkerPool opening_worker_{1};
   CallContext calls_;
   MapService maps_;
   UploadService uploads_;

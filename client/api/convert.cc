@@ -414,6 +414,7 @@ v1::QueryRegionRequest ToProto(const QuerySpec& spec) {
   }
   request.set_raw(spec.raw);
   request.set_allow_partial(spec.allow_partial);
+  request.set_plain_blocks(spec.plain_blocks);
   if (spec.centroids) {
     request.set_representative(v1::REPRESENTATIVE_CENTROID);
   }

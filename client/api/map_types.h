@@ -389,6 +389,9 @@ struct QuerySpec {
   /// Damaged chunks are left out and told of in the summary; else they are
   /// kDataLoss.
   bool allow_partial = false;
+  /// Larger point blocks, which are quicker to make and to read: for a fast
+  /// network.
+  bool plain_blocks = false;
 };
 
 /// What to bring of a map: see Chunk.

@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "core/base/status.h"
+#include "core/cloud/row_runs.h"
 #include "core/codec/points_codec.h"
 #include "server/engine/chunk_reader.h"
 
@@ -53,29 +53,36 @@ absl::StatusOr<std::optional<AnswerSource::Part>> AnswerSource::Read(
 }
 
 absl::StatusOr<std::optional<std::vector<std::byte>>> AnswerStream::Next() {
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint32_t> rows, TakeRows());
-  if (rows.empty()) return std::nullopt;
-  return core::EncodePoints(pending_.Select(rows));
+  MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud points, TakePoints());
+  if (points.size() == 0) return std::nullopt;
+  return core::EncodePoints(points,
+                            {.compression = source_.compression,
+                             .plan = plan_.has_value() ? &*plan_ : nullptr});
 }
 
 absl::StatusOr<bool> AnswerStream::Skip() {
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<uint32_t> rows, TakeRows());
-  return !rows.empty();
+  MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud points, TakePoints());
+  return points.size() > 0;
 }
 
-absl::StatusOr<std::vector<uint32_t>> AnswerStream::TakeRows() {
-  const size_t wanted = source_.columns.PointsPerBlock(kMaxBatchBytes);
+absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
+  const size_t limit = source_.columns.PointsPerBlock(kMaxBatchBytes);
+  // The first block is there as soon as any chunk gives points.
+  const size_t wanted = point_count_ == 0 ? 1 : limit;
   while (!is_walked_ && pending_.size() - taken_ < wanted) {
     MAPSIEVE_RETURN_IF_ERROR(LoadChunk());
   }
-  std::vector<uint32_t> rows(std::min(wanted, pending_.size() - taken_));
-  std::iota(rows.begin(), rows.end(), static_cast<uint32_t>(taken_));
-  for (const uint32_t row : rows) {
+  const size_t count = std::min(limit, pending_.size() - taken_);
+  for (size_t row = taken_; row < taken_ + count; ++row) {
     ++label_counts_[static_cast<size_t>(pending_labels_[row])];
   }
-  point_count_ += static_cast<int64_t>(rows.size());
-  taken_ += rows.size();
-  return rows;
+  LatticeCloud points = PendingPoints(taken_, count);
+  taken_ += count;
+  if (point_count_ == 0 && source_.compression != core::Compression::kNone) {
+    plan_ = core::PlanEncoding(points, source_.compression);
+  }
+  point_count_ += static_cast<int64_t>(count);
+  return points;
 }
 
 absl::Status AnswerStream::LoadChunk() {
@@ -141,13 +148,17 @@ std::vector<LatticePoint> AnswerStream::KeepChosen(
 }
 
 void AnswerStream::DropTaken() {
-  std::vector<uint32_t> rest(pending_.size() - taken_);
-  std::iota(rest.begin(), rest.end(), static_cast<uint32_t>(taken_));
-  pending_ = pending_.Select(rest);
+  pending_ = PendingPoints(taken_, pending_.size() - taken_);
   pending_labels_.erase(
       pending_labels_.begin(),
       pending_labels_.begin() + static_cast<ptrdiff_t>(taken_));
   taken_ = 0;
+}
+
+LatticeCloud AnswerStream::PendingPoints(size_t begin, size_t count) const {
+  const core::RowRun run = {.begin = static_cast<uint32_t>(begin),
+                            .count = static_cast<uint32_t>(count)};
+  return core::SelectRuns(pending_, {&run, 1});
 }
 
 }  // namespace mapsieve::engine

@@ -13,6 +13,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/cloud/point_cloud.h"
+#include "core/codec/points_codec.h"
 #include "core/sampling/spatial_budget.h"
 #include "server/engine/answer_columns.h"
 #include "server/engine/chunk_walk.h"
@@ -41,6 +42,7 @@ struct AnswerSource {
   const AnswerColumns& columns;
   Representative representative;
   bool allows_partial;
+  core::Compression compression;
   std::stop_token stop;
 
   ChunkWalk NewWalk() const {
@@ -91,8 +93,8 @@ class AnswerStream {
   int64_t point_count() const { return point_count_; }
 
  private:
-  /// The rows of pending_ that make the next block; none after the last one.
-  absl::StatusOr<std::vector<uint32_t>> TakeRows();
+  /// The points of the next block; none after the last one.
+  absl::StatusOr<core::LatticeCloud> TakePoints();
   /// Appends what stays of the next chunk to the pending points.
   absl::Status LoadChunk();
   /// Leaves the chosen ones of `passed` and returns where they are in the
@@ -101,12 +103,16 @@ class AnswerStream {
                                              PointFilter::Passed& passed);
   /// Frees the pending points that were taken.
   void DropTaken();
+  /// Those at rows [begin, begin + count).
+  core::LatticeCloud PendingPoints(size_t begin, size_t count) const;
 
   const AnswerSource& source_;
   const core::BudgetSample* const choice_;
   MissingChunks& missing_;
   ChunkWalk walk_;
   bool is_walked_ = false;
+  /// Made for the first block.
+  std::optional<core::EncodePlan> plan_;
   /// Points of the answer, those up to taken_ taken.
   core::LatticeCloud pending_;
   std::vector<core::Label> pending_labels_;

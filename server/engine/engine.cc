@@ -34,6 +34,8 @@ namespace {
 /// Threads that store chunks: they wait for the disk most of the time.
 constexpr int kIoThreads = 4;
 constexpr int kMaxWorkers = 1024;
+/// How long an answer waits for the memory that others hold.
+constexpr absl::Duration kMaxMemoryWait = absl::Seconds(10);
 /// The largest message of an upload.
 constexpr int64_t kMessageBytes = int64_t{1} << 20;
 
@@ -87,7 +89,7 @@ class LocalEngine final : public Engine {
   explicit LocalEngine(const EngineOptions& options)
       : process_limits_(ProcessLimits::Of(options.memory_bytes / 2)),
         ingest_limits_(IngestLimits::Of(options.memory_bytes / 8)),
-        query_memory_(options.memory_bytes / 4),
+        query_memory_(options.memory_bytes / 4, kMaxMemoryWait),
         filter_workers_(MakeWorkerPool(options.worker_count)),
         io_workers_(MakeWorkerPool(kIoThreads)) {}
 

@@ -242,7 +242,9 @@ class Engine {
   /// `stop` asks for it. kInvalidArgument naming the field; kNotFound: the map
   /// or an attribute, naming those there are; kFailedPrecondition: never
   /// processed and not `raw`; kOutOfRange: no such revision, it expired, or
-  /// nothing was processed up to it.
+  /// nothing was processed up to it; kResourceExhausted: the answer needs more
+  /// than the memory for queries, or more than other answers left of it for 10
+  /// s, with the figures.
   virtual absl::StatusOr<std::unique_ptr<QueryCursor>> Query(
       const QuerySpec& spec, std::stop_token stop) = 0;
 

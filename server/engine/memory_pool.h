@@ -2,9 +2,11 @@
 #define MAPSIEVE_SERVER_ENGINE_MEMORY_POOL_H_
 
 #include <cstdint>
+#include <stop_token>
 #include <string_view>
 
 #include "absl/status/status.h"
+#include "absl/time/time.h"
 #include "core/base/mutex.h"
 
 namespace mapsieve::engine {
@@ -13,13 +15,18 @@ namespace mapsieve::engine {
 /// to hold before it does. Thread-safe; outlives its reservations.
 class MemoryPool {
  public:
-  explicit MemoryPool(int64_t capacity_bytes) : capacity_(capacity_bytes) {}
+  /// `max_wait`: how long users wait for one another.
+  explicit MemoryPool(int64_t capacity_bytes,
+                      absl::Duration max_wait = absl::ZeroDuration())
+      : capacity_(capacity_bytes), max_wait_(max_wait) {}
 
  private:
   friend class Reservation;
 
   const int64_t capacity_;
+  const absl::Duration max_wait_;
   Mutex mutex_;
+  ConditionVariable given_back_;
   int64_t reserved_ ABSL_GUARDED_BY(mutex_) = 0;
 };
 
@@ -31,12 +38,21 @@ class Reservation {
   Reservation(const Reservation&) = delete;
   Reservation& operator=(const Reservation&) = delete;
 
-  /// Adds `bytes` (>= 0) to the reservation. kResourceExhausted, naming `what`
-  /// they are for and the figures, if the pool does not have them; nothing is
-  /// changed then.
-  absl::Status Grow(int64_t bytes, std::string_view what);
+  /// Adds `bytes` (>= 0) to the reservation. Waits until others have given back
+  /// what is missing, as long as the pool says, if that can help and this holds
+  /// nothing: so no two wait for each other. kResourceExhausted, naming `what`
+  /// they are for and the figures, if the pool does not have them; kCancelled:
+  /// `stop`. Nothing is changed then.
+  absl::Status Grow(int64_t bytes, std::string_view what,
+                    const std::stop_token& stop = {});
+
+  /// Gives back `bytes` (0 to what it holds).
+  void Shrink(int64_t bytes);
 
  private:
+  absl::Status Exhausted(int64_t bytes, std::string_view what) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(pool_.mutex_);
+
   MemoryPool& pool_;
   int64_t bytes_ = 0;
 };

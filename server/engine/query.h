@@ -126,6 +126,8 @@ struct QuerySpec {
   /// Damaged and missing chunks are left out and told of in the summary; else
   /// they are kDataLoss.
   bool allow_partial = false;
+  /// Blocks of plain columns (core::Compression::kNone).
+  bool plain_blocks = false;
   /// Nothing, or what QueryCursor::resume_token gave after a batch of the same
   /// query: the answer goes on behind that batch, from the same revision.
   std::string resume_token;
@@ -183,9 +185,8 @@ class QueryCursor {
   /// kCancelled; kAborted: what can be read changed since the answer that is
   /// resumed; kDataLoss: a chunk is damaged, and not allow_partial (under a
   /// budget also one that was sound when the points were chosen), or the
-  /// catalogue is; kUnavailable: storage; kResourceExhausted: what
-  /// the answer needs at once exceeds the memory left for queries (both
-  /// figures in the message).
+  /// catalogue is; kUnavailable: storage; kResourceExhausted: very many
+  /// points fit max_bytes, more than there is memory left to choose.
   virtual absl::StatusOr<std::optional<std::vector<std::byte>>> NextBatch() = 0;
 
   /// Of the batches so far, those before a resume included; of the answer once

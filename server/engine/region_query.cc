@@ -38,6 +38,9 @@ constexpr int64_t kCandidateBytes =
 /// Of a point chosen under a budget: cell, row and centroid, twice while they
 /// are sorted.
 constexpr int64_t kChosenBytes = 80;
+/// Bytes of a point in a block that a budget in bytes is taken to buy at most,
+/// for the memory of the choice: few queries get more points.
+constexpr int64_t kCheapPointBytes = 3;
 /// A chunk decoded, its selected rows, and those rows waiting to be sent.
 constexpr int64_t kChunkCopies = 3;
 /// A batch before and after it is encoded.
@@ -62,7 +65,8 @@ struct Candidates {
 
 class RegionQuery final : public QueryCursor {
  public:
-  RegionQuery(MemoryPool& memory, const QuerySpec& spec,
+  /// `memory`: null if the caller has reserved AnswerBytes.
+  RegionQuery(MemoryPool* memory, const QuerySpec& spec,
               std::shared_ptr<const ReadSnapshot> snapshot, PointFilter filter,
               AnswerColumns columns, std::optional<ResumePoint> resume,
               std::stop_token stop)
@@ -80,15 +84,16 @@ class RegionQuery final : public QueryCursor {
                 .columns = columns_,
                 .representative = spec.representative,
                 .allows_partial = spec.allow_partial,
-                .stop = std::move(stop)},
-        pool_(memory),
-        memory_(memory) {
+                .compression = spec.plain_blocks ? core::Compression::kNone
+                                                 : core::Compression::kLz4,
+                .stop = std::move(stop)} {
+    if (memory != nullptr) memory_.emplace(*memory);
     header_ = {.revision = snapshot_->revision().number,
                .step_nm = snapshot_->map().spec.step_nm,
                .columns = columns_.specs()};
   }
 
-  /// Counts the candidates and reserves what the answer needs in any case.
+  /// Counts the candidates and reserves what the answer needs.
   absl::Status Prepare() {
     ChunkWalk walk = source_.NewWalk();
     int64_t largest = 0;
@@ -103,11 +108,27 @@ class RegionQuery final : public QueryCursor {
     header_.candidate_point_count = max_points_ > 0
                                         ? std::min(max_candidates_, max_points_)
                                         : max_candidates_;
-    return memory_.Grow(
-        kChunkCopies * largest *
-                (columns_.stored_point_bytes() + filter_.attribute_bytes()) +
-            kBatchCopies * kMaxBatchBytes,
-        "the query");
+    if (!memory_.has_value()) return absl::OkStatus();
+    const int64_t answer_bytes = AnswerBytes(columns_, filter_, largest);
+    if (!HasBudget()) {
+      return memory_->Grow(answer_bytes, "the query", source_.stop);
+    }
+    constexpr int64_t kMaxCandidates = std::numeric_limits<uint32_t>::max();
+    if (max_candidates_ > kMaxCandidates) {
+      return absl::ResourceExhaustedError(absl::StrCat(
+          "a budget: ", max_candidates_, " points to choose from, at most ",
+          kMaxCandidates, " can be; ask for a smaller region"));
+    }
+    int64_t chosen = max_candidates_;
+    if (max_points_ > 0) chosen = std::min(chosen, max_points_);
+    if (max_bytes_ > 0)
+      chosen = std::min(chosen, max_bytes_ / kCheapPointBytes);
+    choice_bytes_ = kChosenBytes * chosen;
+    return memory_->Grow(
+        answer_bytes + choice_bytes_ + kCandidateBytes * max_candidates_,
+        absl::StrCat("choosing under a budget among ", max_candidates_,
+                     " points"),
+        source_.stop);
   }
 
   const QueryHeader& header() const override { return header_; }
@@ -236,7 +257,7 @@ class RegionQuery final : public QueryCursor {
     const int64_t bytes = kChosenBytes * count;
     if (bytes > choice_bytes_) {
       MAPSIEVE_RETURN_IF_ERROR(
-          memory_.Grow(bytes - choice_bytes_, "the chosen points"));
+          memory_->Grow(bytes - choice_bytes_, "the chosen points"));
       choice_bytes_ = bytes;
     }
     MAPSIEVE_ASSIGN_OR_RETURN(
@@ -305,24 +326,18 @@ class RegionQuery final : public QueryCursor {
     return chosen == low ? absl::OkStatus() : Choose(candidates, low);
   }
 
-  /// Gathers all candidates and chooses among them.
+  /// Gathers all candidates, chooses among them and gives their memory back.
   absl::Status ChooseUnderBudget() {
-    constexpr int64_t kMaxCandidates = std::numeric_limits<uint32_t>::max();
-    if (max_candidates_ > kMaxCandidates) {
-      return absl::ResourceExhaustedError(absl::StrCat(
-          "a budget: ", max_candidates_, " points to choose from, at most ",
-          kMaxCandidates, " can be; ask for a smaller region"));
+    {
+      MAPSIEVE_ASSIGN_OR_RETURN(const Candidates candidates, Gather());
+      auto count = static_cast<int64_t>(candidates.labels.size());
+      if (max_points_ > 0) count = std::min(count, max_points_);
+      MAPSIEVE_RETURN_IF_ERROR(max_bytes_ > 0 && count > 0
+                                   ? ChooseForBytes(candidates, count)
+                                   : Choose(candidates, count));
     }
-    Reservation room(pool_);
-    MAPSIEVE_RETURN_IF_ERROR(
-        room.Grow(kCandidateBytes * max_candidates_,
-                  absl::StrCat("choosing under a budget among ",
-                               max_candidates_, " points")));
-    MAPSIEVE_ASSIGN_OR_RETURN(const Candidates candidates, Gather());
-    auto count = static_cast<int64_t>(candidates.labels.size());
-    if (max_points_ > 0) count = std::min(count, max_points_);
-    return max_bytes_ > 0 && count > 0 ? ChooseForBytes(candidates, count)
-                                       : Choose(candidates, count);
+    memory_->Shrink(kCandidateBytes * max_candidates_);
+    return absl::OkStatus();
   }
 
   const int64_t max_points_;
@@ -334,8 +349,7 @@ class RegionQuery final : public QueryCursor {
   const PointFilter filter_;
   const AnswerColumns columns_;
   const AnswerSource source_;
-  MemoryPool& pool_;
-  Reservation memory_;
+  std::optional<Reservation> memory_;
   /// Points of the chunks that the region meets, with the labels asked for.
   int64_t max_candidates_ = 0;
   QueryHeader header_;
@@ -357,7 +371,7 @@ uint64_t ResumeKey(const QuerySpec& spec, const storage::MapRecord& map) {
 
 /// Begins the answer of a pinned revision that answers `spec`.
 absl::StatusOr<std::unique_ptr<QueryCursor>> Open(
-    std::shared_ptr<const ReadSnapshot> snapshot, MemoryPool& memory,
+    std::shared_ptr<const ReadSnapshot> snapshot, MemoryPool* memory,
     QuerySpec spec, std::optional<ResumePoint> resume, std::stop_token stop) {
   spec.resume_key = ResumeKey(spec, snapshot->map());
   MAPSIEVE_ASSIGN_OR_RETURN(PointFilter filter,
@@ -410,14 +424,22 @@ absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(storage::Store& store,
   }
   MAPSIEVE_ASSIGN_OR_RETURN(std::shared_ptr<const ReadSnapshot> snapshot,
                             OpenRevision(store, spec));
-  return Open(std::move(snapshot), memory, std::move(spec), std::move(resume),
+  return Open(std::move(snapshot), &memory, std::move(spec), std::move(resume),
               std::move(stop));
 }
 
 absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(
-    std::shared_ptr<const ReadSnapshot> snapshot, MemoryPool& memory,
-    const QuerySpec& spec, std::stop_token stop) {
-  return Open(std::move(snapshot), memory, spec, std::nullopt, std::move(stop));
+    std::shared_ptr<const ReadSnapshot> snapshot, const QuerySpec& spec,
+    std::stop_token stop) {
+  return Open(std::move(snapshot), nullptr, spec, std::nullopt,
+              std::move(stop));
+}
+
+int64_t AnswerBytes(const AnswerColumns& columns, const PointFilter& filter,
+                    int64_t largest_chunk) {
+  return kChunkCopies * largest_chunk *
+             (columns.stored_point_bytes() + filter.attribute_bytes()) +
+         kBatchCopies * kMaxBatchBytes;
 }
 
 }  // namespace mapsieve::engine

@@ -69,6 +69,9 @@ class SyncCursor {
 
   virtual const SyncHeader& header() const = 0;
 
+  /// Whether the client lacks any chunk.
+  virtual bool has_parts() const = 0;
+
   /// The parts of the chunks that the client lacks, chunk by chunk in Morton
   /// order of their tiles; nothing once all were given. Errors as
   /// QueryCursor::NextBatch.

@@ -1,10 +1,12 @@
 #include "server/engine/sync_region.h"
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <iterator>
 #include <optional>
 #include <set>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -16,6 +18,7 @@
 #include "server/engine/answer_columns.h"
 #include "server/engine/chunk_reader.h"
 #include "server/engine/field_error.h"
+#include "server/engine/point_filter.h"
 #include "server/engine/query_checks.h"
 #include "server/engine/region.h"
 #include "server/engine/region_query.h"
@@ -56,20 +59,22 @@ class RegionSync final : public SyncCursor {
  public:
   RegionSync(MemoryPool& memory, SyncSpec spec,
              std::shared_ptr<const ReadSnapshot> snapshot,
-             std::vector<core::ColumnSpec> columns, std::stop_token stop)
-      : pool_(memory),
-        memory_(memory),
+             AnswerColumns columns, std::stop_token stop)
+      : names_memory_(memory),
+        answer_memory_(memory),
         spec_(std::move(spec)),
         snapshot_(std::move(snapshot)),
         lattice_(snapshot_->map().spec.step_nm),
+        columns_(std::move(columns)),
         stop_(std::move(stop)) {
     header_ = {.revision = snapshot_->revision().number,
                .step_nm = snapshot_->map().spec.step_nm,
                .tile_level = snapshot_->map().spec.tile_level,
-               .columns = std::move(columns)};
+               .columns = columns_.specs()};
   }
 
-  /// Names the chunks of the region and compares them with those held.
+  /// Names the chunks of the region, compares them with those held, and
+  /// reserves what the largest one needs that is not.
   absl::Status Prepare() {
     std::set<std::string> held(spec_.held_chunk_ids.begin(),
                                spec_.held_chunk_ids.end());
@@ -83,6 +88,7 @@ class RegionSync final : public SyncCursor {
       bounds = region->bounds();
     }
     std::optional<CellKey> after;
+    int64_t largest = 0;
     while (true) {
       constexpr int64_t kPageSize = 256;
       MAPSIEVE_ASSIGN_OR_RETURN(
@@ -91,11 +97,17 @@ class RegionSync final : public SyncCursor {
       for (const storage::TileSummary& tile : page) {
         if (stop_.stop_requested()) return absl::CancelledError("cancelled");
         if (region.has_value() && !region->Intersects(tile.bounds)) continue;
-        MAPSIEVE_RETURN_IF_ERROR(
-            memory_.Grow(kTileBytes, "naming the chunks of the region"));
-        MAPSIEVE_ASSIGN_OR_RETURN(std::string id, IdOf(tile.tile, common));
+        MAPSIEVE_RETURN_IF_ERROR(names_memory_.Grow(
+            kTileBytes, "naming the chunks of the region", stop_));
+        MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> chunks,
+                                  snapshot_->ListTileChunks(kind(), tile.tile));
+        std::string id = IdOf(tile.tile, chunks, common);
         current.insert(id);
-        if (!held.contains(id)) wanted_.push_back({tile.tile, std::move(id)});
+        if (held.contains(id)) continue;
+        wanted_.push_back({tile.tile, std::move(id)});
+        for (const ChunkRef& chunk : chunks) {
+          largest = std::max(largest, chunk.point_count);
+        }
       }
       if (std::ssize(page) < kPageSize) break;
       after = page.back().tile;
@@ -106,7 +118,11 @@ class RegionSync final : public SyncCursor {
         summary_.dropped_chunk_ids.push_back(id);
       }
     }
-    return absl::OkStatus();
+    if (wanted_.empty()) return absl::OkStatus();
+    MAPSIEVE_ASSIGN_OR_RETURN(const PointFilter filter,
+                              PointFilter::Make(spec_.query, *snapshot_));
+    return answer_memory_.Grow(AnswerBytes(columns_, filter, largest),
+                               "the largest chunk", stop_);
   }
 
   absl::StatusOr<std::optional<SyncPart>> Next() override {
@@ -115,8 +131,7 @@ class RegionSync final : public SyncCursor {
     if (query_ == nullptr) {
       QuerySpec spec = spec_.query;
       spec.region = BoxOfTile(tile, lattice_);
-      MAPSIEVE_ASSIGN_OR_RETURN(query_,
-                                OpenQuery(snapshot_, pool_, spec, stop_));
+      MAPSIEVE_ASSIGN_OR_RETURN(query_, OpenQuery(snapshot_, spec, stop_));
       MAPSIEVE_ASSIGN_OR_RETURN(ahead_, query_->NextBatch());
     }
     SyncPart part{.chunk_id = id, .tile = tile};
@@ -134,6 +149,7 @@ class RegionSync final : public SyncCursor {
   }
 
   const SyncHeader& header() const override { return header_; }
+  bool has_parts() const override { return !wanted_.empty(); }
   const SyncSummary& summary() const override { return summary_; }
 
  private:
@@ -143,10 +159,8 @@ class RegionSync final : public SyncCursor {
 
   /// The id of the chunk of a tile: a hash of where it is and of all that its
   /// points come from.
-  absl::StatusOr<std::string> IdOf(const CellKey& tile,
-                                   const std::string& common) const {
-    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> chunks,
-                              snapshot_->ListTileChunks(kind(), tile));
+  static std::string IdOf(const CellKey& tile, std::span<const ChunkRef> chunks,
+                          const std::string& common) {
     ContentHasher hasher;
     hasher.Update(TextBytes(common));
     hasher.Update(TextBytes(tile.ToString()));
@@ -161,11 +175,12 @@ class RegionSync final : public SyncCursor {
     std::string id;
   };
 
-  MemoryPool& pool_;
-  Reservation memory_;
+  Reservation names_memory_;
+  Reservation answer_memory_;
   const SyncSpec spec_;
   const std::shared_ptr<const ReadSnapshot> snapshot_;
   const core::Lattice lattice_;
+  const AnswerColumns columns_;
   const std::stop_token stop_;
   SyncHeader header_;
   SyncSummary summary_;
@@ -207,10 +222,10 @@ absl::StatusOr<std::unique_ptr<SyncCursor>> OpenSync(storage::Store& store,
   MAPSIEVE_RETURN_IF_ERROR(CheckSpec(spec.query));
   MAPSIEVE_ASSIGN_OR_RETURN(auto snapshot, OpenRevision(store, spec.query));
   MAPSIEVE_ASSIGN_OR_RETURN(
-      const AnswerColumns columns,
+      AnswerColumns columns,
       AnswerColumns::Make(spec.query, snapshot->revision().spec.attributes));
   auto sync = std::make_unique<RegionSync>(memory, spec, std::move(snapshot),
-                                           columns.specs(), std::move(stop));
+                                           std::move(columns), std::move(stop));
   MAPSIEVE_RETURN_IF_ERROR(sync->Prepare());
   return sync;
 }

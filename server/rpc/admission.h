@@ -23,8 +23,8 @@ struct AdmissionLimits {
   int wait = 1024;
   /// Each holds one message of 1 MiB.
   int upload = 64;
-  /// Each holds a tile's points and two batches.
-  int query = 32;
+  /// Each holds two batches, and when its turn has come a chunk's points.
+  int query = 256;
   /// WatchMap: holds no thread, and two messages of some hundred bytes.
   int watch = 1024;
 };

@@ -406,6 +406,7 @@ absl::StatusOr<engine::QuerySpec> ToQuerySpec(
   }
   spec.raw = request.raw();
   spec.allow_partial = request.allow_partial();
+  spec.plain_blocks = request.plain_blocks();
   spec.resume_token = request.resume_token();
   spec.resume_key = ResumeKey(request);
   switch (request.representative()) {
@@ -432,6 +433,7 @@ absl::StatusOr<engine::SyncSpec> ToSyncSpec(
   of_any_tile.clear_name();
   of_any_tile.clear_revision();
   of_any_tile.clear_region();
+  of_any_tile.clear_plain_blocks();
   spec.query_key = of_any_tile.SerializeAsString();
   spec.held_chunk_ids.assign(request.held_chunk_ids().begin(),
                              request.held_chunk_ids().end());

@@ -18,7 +18,9 @@ class VerifyReactor final : public StreamReactor<v1::VerifyMapResponse> {
  public:
   VerifyReactor(CallContext& calls, engine::Engine& engine,
                 const v1::VerifyMapRequest& request)
-      : StreamReactor(calls, "VerifyMap"), engine_(engine), request_(request) {}
+      : StreamReactor(calls, "VerifyMap", *calls.stream_workers),
+        engine_(engine),
+        request_(request) {}
 
  protected:
   absl::StatusOr<bool> Next(v1::VerifyMapResponse& response) override {
@@ -57,7 +59,7 @@ class WatchReactor final : public StreamReactor<v1::WatchMapResponse> {
  public:
   WatchReactor(CallContext& calls, engine::Engine& engine,
                const v1::WatchMapRequest& request)
-      : StreamReactor(calls, "WatchMap"),
+      : StreamReactor(calls, "WatchMap", *calls.stream_workers),
         engine_(engine),
         request_(request),
         draining_(calls.admission->draining()) {}

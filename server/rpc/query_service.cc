@@ -15,7 +15,7 @@ class QueryReactor final : public StreamReactor<v1::QueryRegionResponse> {
  public:
   QueryReactor(CallContext& calls, engine::Engine& engine,
                const v1::QueryRegionRequest& request)
-      : StreamReactor(calls, "QueryRegion"),
+      : StreamReactor(calls, "QueryRegion", *calls.opening_worker),
         engine_(engine),
         request_(request) {}
 
@@ -63,7 +63,7 @@ class SyncReactor final : public StreamReactor<v1::SyncRegionResponse> {
  public:
   SyncReactor(CallContext& calls, engine::Engine& engine,
               const v1::SyncRegionRequest& request)
-      : StreamReactor(calls, "SyncRegion"),
+      : StreamReactor(calls, "SyncRegion", *calls.opening_worker),
         engine_(engine),
         request_(request) {}
 
@@ -73,16 +73,14 @@ class SyncReactor final : public StreamReactor<v1::SyncRegionResponse> {
       if (complete_) return false;
       MAPSIEVE_ASSIGN_OR_RETURN(const auto spec, ToSyncSpec(request_));
       MAPSIEVE_ASSIGN_OR_RETURN(cursor_, engine_.Sync(spec, stop_token()));
-      MAPSIEVE_ASSIGN_OR_RETURN(ahead_, cursor_->Next());
-      if (ahead_.has_value()) {
-        const engine::SyncHeader& header = cursor_->header();
-        *response.mutable_header() = ToProto(header);
+      if (cursor_->has_parts()) {
+        *response.mutable_header() = ToProto(cursor_->header());
         return true;
       }
     }
-    if (ahead_.has_value()) {
-      *response.mutable_part() = ToProto(*ahead_);
-      MAPSIEVE_ASSIGN_OR_RETURN(ahead_, cursor_->Next());
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto part, cursor_->Next());
+    if (part.has_value()) {
+      *response.mutable_part() = ToProto(*part);
       return true;
     }
     v1::SyncSummary& summary = *response.mutable_summary();
@@ -98,7 +96,6 @@ class SyncReactor final : public StreamReactor<v1::SyncRegionResponse> {
   // gRPC keeps it until OnDone.
   const v1::SyncRegionRequest& request_;
   std::unique_ptr<engine::SyncCursor> cursor_;
-  std::optional<engine::SyncPart> ahead_;
   bool complete_ = false;
 };
 

@@ -29,6 +29,9 @@ struct CallContext {
   WorkerPool* unary_workers = nullptr;
   /// For uploads and queries, whose tasks take longer.
   WorkerPool* stream_workers = nullptr;
+  /// For the begin of answers, which may wait until others have given back
+  /// their memory: one thread, so that they come to it in the order of calls.
+  WorkerPool* opening_worker = nullptr;
   Admission* admission = nullptr;
   /// Hears of every call that ended. Thread-safe.
   std::function<void(const char* method, const absl::Status& status)> on_end;
@@ -62,8 +65,9 @@ grpc::ServerUnaryReactor* RunUnary(CallContext& calls, const char* method,
 template <typename Response>
 class StreamReactor : public grpc::ServerWriteReactor<Response> {
  public:
-  StreamReactor(CallContext& calls, const char* method)
-      : calls_(calls), method_(method) {}
+  /// The first response is made by `opener`.
+  StreamReactor(CallContext& calls, const char* method, WorkerPool& opener)
+      : calls_(calls), method_(method), worker_(&opener) {}
 
   /// Begins the stream, or ends it at once without a ticket.
   void Start(absl::StatusOr<Admission::Ticket> ticket) {
@@ -159,7 +163,7 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
   // Does whatever can be done now. The calls to gRPC come last and without the
   // lock: after them the reactor may be gone.
   void Advance() {
-    bool make = false;
+    WorkerPool* maker = nullptr;
     const Response* send = nullptr;
     std::optional<absl::Status> finish;
     {
@@ -171,14 +175,15 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
         sending_ = true;
       }
       if (!making_ && ready_ == nullptr && !idle_ && !end_) {
-        make = making_ = true;
+        making_ = true;
+        maker = std::exchange(worker_, calls_.stream_workers);
       }
       if (!making_ && !sending_ && end_) {
         finished_ = true;
         finish = end_;
       }
     }
-    if (make) calls_.stream_workers->Post([this] { Make(); });
+    if (maker != nullptr) maker->Post([this] { Make(); });
     if (send != nullptr) this->StartWrite(send);
     if (finish) {
       calls_.on_end(method_, *finish);
@@ -190,6 +195,8 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
   const char* const method_;
   std::stop_source stop_;
   Mutex mutex_;
+  // Makes the next response.
+  WorkerPool* worker_ ABSL_GUARDED_BY(mutex_);
   // Goes with the reactor: until then the call is going on.
   std::optional<Admission::Ticket> ticket_ ABSL_GUARDED_BY(mutex_);
   // Being sent; made and waiting to be sent.

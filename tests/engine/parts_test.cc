@@ -1,8 +1,14 @@
 // The small parts of the engine.
 
+#include <atomic>
+#include <memory>
+#include <stop_token>
 #include <string>
+#include <thread>
 #include <vector>
 
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "gtest/gtest.h"
 #include "server/engine/memory_pool.h"
 #include "server/engine/opaque_records.h"
@@ -33,6 +39,58 @@ TEST(MemoryPool, GivesWhatItHasAndTakesItBack) {
   EXPECT_THAT(mine.Grow(1, "mine"),
               StatusIs(absl::StatusCode::kResourceExhausted,
                        HasSubstr("holding 0: ask for less")));
+}
+
+TEST(MemoryPool, WhoHoldsNothingWaitsForOthers) {
+  MemoryPool pool(100, absl::Minutes(1));
+  auto other = std::make_unique<Reservation>(pool);
+  MAPSIEVE_ASSERT_OK(other->Grow(70, "other"));
+  Reservation mine(pool);
+  std::atomic<bool> granted = false;
+  std::thread waiting([&] {
+    MAPSIEVE_EXPECT_OK(mine.Grow(80, "mine"));
+    granted = true;
+  });
+  absl::SleepFor(absl::Milliseconds(20));
+  other->Shrink(40);
+  absl::SleepFor(absl::Milliseconds(20));
+  EXPECT_FALSE(granted);
+  other.reset();
+  waiting.join();
+  EXPECT_TRUE(granted);
+  // At once: waiting cannot help, or two could wait for each other.
+  Reservation third(pool);
+  EXPECT_THAT(third.Grow(101, "third"),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       HasSubstr("third needs 101 bytes")));
+  MAPSIEVE_ASSERT_OK(third.Grow(10, "third"));
+  EXPECT_THAT(third.Grow(20, "third"),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       HasSubstr("beside the 10 it holds")));
+}
+
+TEST(MemoryPool, NobodyWaitsForEver) {
+  MemoryPool pool(100, absl::Milliseconds(30));
+  Reservation other(pool);
+  MAPSIEVE_ASSERT_OK(other.Grow(70, "other"));
+  Reservation mine(pool);
+  EXPECT_THAT(mine.Grow(80, "mine"),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       HasSubstr("holding 70: try again later")));
+  MemoryPool patient(100, absl::Minutes(1));
+  Reservation all(patient);
+  MAPSIEVE_ASSERT_OK(all.Grow(100, "all"));
+  Reservation none(patient);
+  std::stop_source stop;
+  std::thread stopping([&] {
+    absl::SleepFor(absl::Milliseconds(20));
+    stop.request_stop();
+  });
+  EXPECT_THAT(none.Grow(1, "none", stop.get_token()),
+              StatusIs(absl::StatusCode::kCancelled, "cancelled"));
+  stopping.join();
+  EXPECT_THAT(none.Grow(1, "none", stop.get_token()),
+              StatusIs(absl::StatusCode::kCancelled, "cancelled"));
 }
 
 template <typename T, typename Parse>

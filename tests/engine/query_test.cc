@@ -410,6 +410,21 @@ absl::StatusOr<Batches> ReadBatches(
   return result;
 }
 
+TEST_F(RegionQueryTest, PlainBlocksHoldTheSamePoints) {
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer coded, workshop_->Query({}));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer plain,
+                                workshop_->Query({.plain_blocks = true}));
+  ExpectSameCloud(plain.points, coded.points);
+  // Position, label, confidence, normal and at least the attributes' time.
+  EXPECT_GT(plain.summary.block_bytes,
+            plain.summary.point_count * (3 * 4 + 1 + 4 + 3 * 4 + 8));
+  EXPECT_LT(coded.summary.block_bytes, plain.summary.block_bytes);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Answer budget,
+      workshop_->Query({.max_bytes = kMinBudgetBytes, .plain_blocks = true}));
+  EXPECT_LE(budget.summary.block_bytes, kMinBudgetBytes);
+}
+
 TEST(RegionQuery, ResumesBehindAnyBatchByteForByteFromItsRevision) {
   Workshop workshop(13);
   MAPSIEVE_ASSERT_OK(
@@ -754,11 +769,13 @@ TEST_F(RegionQueryTest, KeepsToTheMemoryOfQueries) {
                          HasSubstr("try again later")));
   }
   spec.max_points = 100'000;
-  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto cursor,
-                                OpenQuery(workshop_->store(), tight, spec, {}));
-  EXPECT_THAT(cursor->NextBatch(),
+  EXPECT_THAT(OpenQuery(workshop_->store(), tight, spec, {}),
               StatusIs(absl::StatusCode::kResourceExhausted,
                        HasSubstr("choosing under a budget among")));
+  // What was for the choice is there for others once it is made.
+  MemoryPool roomy(2 * bytes + 40'000'000);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto cursor,
+                                OpenQuery(workshop_->store(), roomy, spec, {}));
 }
 
 TEST(RegionQuery, BatchesKeepTheirLimitHoweverWideThePoints) {

@@ -153,7 +153,7 @@ class WakingCursor : public engine::RevisionCursor {
 class ReactorTest : public ::testing::Test {
  protected:
   void SetUp() override {
-    calls_ = {&workers_, &workers_, &admission_,
+    calls_ = {&workers_, &workers_, &workers_, &admission_,
               [this](const char*, const absl::Status&) { ++ended_; }};
     grpc::ServerBuilder builder;
     int port = 0;

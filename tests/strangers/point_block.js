@@ -72,10 +72,12 @@ async function writeBlock(stepNm, points, attribute) {
 }
 
 /**
- * Head of a block, with all its checksums compared: {pointCount, stepNm, min,
- * max, columns}. Columns are {name, type}; the coded values are not decoded.
+ * A block of plain columns, with all its checksums compared: {pointCount,
+ * stepNm, min, max, points, attributes}. points: [x, y, z] in steps of the
+ * lattice; attributes: the values of those of type uint16, null of others, by
+ * name.
  */
-async function readHead(block) {
+async function readBlock(block) {
   const expect = (isTrue, what) => {
     if (!isTrue) throw new Error(`a point block breaks its format: ${what}`);
   };
@@ -88,7 +90,10 @@ async function readHead(block) {
   const corners = (offset) =>
     AXES.map((_, axis) => Number(block.readBigInt64LE(offset + 8 * axis)));
 
-  const columns = [];
+  const pointCount = block.readUInt32LE(20);
+  const corner = corners(32);
+  const points = Array.from({length: pointCount}, () => []);
+  const attributes = {};
   let entry = FIXED_HEAD_BYTES;
   let stored = headBytes;
   for (let i = 0; i < block.readUInt16LE(6); ++i) {
@@ -99,15 +104,23 @@ async function readHead(block) {
     expect(block.readBigUInt64LE(entry + 12) ===
            await checksum(block.subarray(stored, stored + storedBytes)),
            `checksum of ${name}`);
-    columns.push({name, type: block.readUInt8(entry)});
+    expect(block.readUInt16LE(entry + 1) === 0, `${name} is plain`);
+    if (i < AXES.length) {
+      expect(name === AXES[i] && block.readUInt8(entry) === TYPE_INT32,
+             `${AXES[i]} of int32`);
+      points.forEach((point, row) =>
+        point.push(corner[i] + block.readInt32LE(stored + 4 * row)));
+    } else {
+      attributes[name] = block.readUInt8(entry) !== TYPE_UINT16 ? null :
+        points.map((_, row) => block.readUInt16LE(stored + 2 * row));
+    }
     entry = nameEnd;
     stored += storedBytes;
   }
   expect(entry === headBytes - 8, 'bytes of head');
   expect(stored === block.length, 'stored bytes');
-  return {pointCount: block.readUInt32LE(20),
-          stepNm: Number(block.readBigInt64LE(24)),
-          min: corners(56), max: corners(80), columns};
+  return {pointCount, stepNm: Number(block.readBigInt64LE(24)),
+          min: corners(56), max: corners(80), points, attributes};
 }
 
-module.exports = {checksum, readHead, writeBlock};
+module.exports = {checksum, readBlock, writeBlock};
