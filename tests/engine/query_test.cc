@@ -17,6 +17,7 @@
 #include "server/engine/field_error.h"
 #include "server/engine/region.h"
 #include "server/engine/region_query.h"
+#include "server/engine/sync_region.h"
 #include "tests/engine/engine_testing.h"
 #include "tests/testing/status_matchers.h"
 
@@ -748,6 +749,10 @@ TEST_F(RegionQueryTest, KeepsToTheMemoryOfQueries) {
   EXPECT_THAT(OpenQuery(workshop_->store(), small, {.map_id = "map"}, {}),
               StatusIs(absl::StatusCode::kResourceExhausted,
                        HasSubstr("of 1048576 bytes")));
+  EXPECT_THAT(
+      OpenSync(workshop_->store(), small, {.query = {.map_id = "map"}}, {}),
+      StatusIs(absl::StatusCode::kResourceExhausted,
+               HasSubstr("the largest chunk needs")));
   // Just enough for a walk through the chunks, not for a choice among all
   // points.
   QuerySpec spec = {.map_id = "map"};

@@ -148,6 +148,13 @@ TEST_F(RetentionTest, KeptRevisionsAreAsIfAllWereKept) {
     };
   };
   Both(upload(0));  // 2
+  std::string resume_token;
+  {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const auto cursor, keeping_->Query({.map_id = "map", .raw = true}, {}));
+    MAPSIEVE_ASSERT_OK(cursor->NextBatch());
+    resume_token = cursor->resume_token();
+  }
   Both(process);
   Both(upload(1));  // 4
   Both(remove);
@@ -164,6 +171,13 @@ TEST_F(RetentionTest, KeptRevisionsAreAsIfAllWereKept) {
     EXPECT_THAT(keeping_->RollBack("map", expired), refused);
     EXPECT_THAT(keeping_->CompareRevisions("map", expired, 7, {}), refused);
   }
+  const QuerySpec resumed = {
+      .map_id = "map", .raw = true, .resume_token = resume_token};
+  EXPECT_THAT(
+      keeping_.Query(resumed),
+      StatusIs(absl::StatusCode::kOutOfRange, HasSubstr("revision 2 expired")));
+  MAPSIEVE_EXPECT_OK(
+      twin_.Query({.map_id = "map", .revision = 2, .raw = true}));
   for (const int64_t kept : {3, 5, 6, 7}) ExpectSameAnswers(kept);
   EXPECT_EQ(keeping_->CompareRevisions("map", 3, 7, {})->tiles.items.size(),
             twin_->CompareRevisions("map", 3, 7, {})->tiles.items.size());

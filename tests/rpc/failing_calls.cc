@@ -199,6 +199,14 @@ const std::vector<ElsewherePlace>& Elsewhere() {
   static const auto& places = *new std::vector<ElsewherePlace>{
       {{"QueryService.QueryRegion", false, "DATA_LOSS"},
        "DocumentedErrorsTest.DamagedChunksAreDataLoss"},
+      {{"QueryService.QueryRegion", false, "ABORTED"},
+       "DocumentedErrorsTest.DamagedChunksAreDataLoss"},
+      {{"MapService.VerifyMap", false, "DATA_LOSS"},
+       "DocumentedErrorsTest.ADamagedCatalogueIsDataLoss"},
+      {{"MapService.RepairMap", true, "DATA_LOSS"},
+       "DocumentedErrorsTest.ADamagedCatalogueIsDataLoss"},
+      {{"MapService.RepairMap", true, "UNAVAILABLE"},
+       "DocumentedErrorsTest.ARepairNeedsStorage"},
       {{"ProcessingService.ProcessMap", true, "DATA_LOSS"},
        "DocumentedErrorsTest.DamagedChunksAreDataLoss"},
       {{"MapService.DeleteRegion", true, "DATA_LOSS"},
@@ -252,17 +260,8 @@ const std::vector<ElsewherePlace>& Elsewhere() {
        "JobManagerTest.QueueAndMemoryOfOperationsAreBounded"},
       {{"QueryService.QueryRegion", false, "RESOURCE_EXHAUSTED"},
        "RegionQueryTest.KeepsToTheMemoryOfQueries"},
-  };
-  return places;
-}
-
-const std::vector<Place>& NotProvoked() {
-  static const auto& places = *new std::vector<Place>{
-      {"QueryService.QueryRegion", false, "ABORTED"},
-      {"QueryService.SyncRegion", false, "RESOURCE_EXHAUSTED"},
-      {"MapService.VerifyMap", false, "DATA_LOSS"},
-      {"MapService.RepairMap", true, "DATA_LOSS"},
-      {"MapService.RepairMap", true, "UNAVAILABLE"},
+      {{"QueryService.SyncRegion", false, "RESOURCE_EXHAUSTED"},
+       "RegionQueryTest.KeepsToTheMemoryOfQueries"},
   };
   return places;
 }

@@ -48,11 +48,6 @@ struct ElsewherePlace {
 };
 const std::vector<ElsewherePlace>& Elsewhere();
 
-/// Errors that no test provokes by such a call: they need a catalogue that is
-/// damaged, or a medium that fails, while the server runs. Tests of the engine
-/// damage and fail both.
-const std::vector<Place>& NotProvoked();
-
 }  // namespace mapsieve::rpc
 
 #endif  // MAPSIEVE_TESTS_RPC_FAILING_CALLS_H_

@@ -73,6 +73,37 @@ std::vector<v1::SyncRegionResponse> Sync(TestClient& client,
   return responses;
 }
 
+TEST_F(QueryServiceTest, AnswersWaitForTheMemoryOfOthers) {
+  server_.reset();
+  ServerOptions options = Options();
+  options.memory_bytes = int64_t{256} << 20;
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(server_, Server::Start(options, logger_));
+  client_ = std::make_unique<TestClient>(server_->address().ToString());
+  MAPSIEVE_ASSERT_OK(client_->CreateMap("waiting"));
+  MAPSIEVE_ASSERT_OK(client_->Upload("waiting", "u", TestScene(60'000)));
+  v1::QueryRegionRequest request = QueryOf("waiting");
+  request.set_raw(true);
+  request.set_plain_blocks(true);
+  // Each takes some MB of the 64 MiB for answers, and keeps it until its client
+  // reads.
+  constexpr int kAnswers = 60;
+  std::vector<std::unique_ptr<grpc::ClientContext>> contexts;
+  std::vector<std::unique_ptr<grpc::ClientReader<v1::QueryRegionResponse>>>
+      streams;
+  for (int i = 0; i < kAnswers; ++i) {
+    contexts.push_back(client_->NewContext());
+    streams.push_back(
+        client_->queries->QueryRegion(contexts.back().get(), request));
+  }
+  for (const auto& stream : streams) {
+    v1::QueryRegionResponse response;
+    while (stream->Read(&response)) {
+    }
+    EXPECT_EQ(response.summary().point_count(), 60'000);
+    MAPSIEVE_EXPECT_OK(FromGrpc(stream->Finish()));
+  }
+}
+
 TEST_F(QueryServiceTest, WhoHoldsEveryChunkGetsOneShortMessage) {
   MakeCampus(20'000);
   v1::SyncRegionRequest request;
