@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <future>
+#include <utility>
 
 #include "core/base/status.h"
 #include "core/cloud/row_runs.h"
@@ -15,6 +17,10 @@ using core::Label;
 using core::LatticeCloud;
 using core::LatticePoint;
 using storage::ChunkRef;
+
+/// Of a stored chunk that is sent as it is: smaller ones are better put
+/// together.
+constexpr int64_t kMinStoredBlockBytes = kMaxBatchBytes / 16;
 
 }  // namespace
 
@@ -40,49 +46,113 @@ absl::StatusOr<std::optional<AnswerSource::Part>> AnswerSource::Read(
   };
   absl::StatusOr<Part> part = read();
   if (part.ok()) return *std::move(part);
-  if (missing == nullptr || !allows_partial ||
-      !absl::IsDataLoss(part.status())) {
-    return part.status();
+  MAPSIEVE_RETURN_IF_ERROR(CheckRead(chunk, part.status(), missing));
+  return std::nullopt;
+}
+
+absl::StatusOr<std::optional<std::vector<std::byte>>>
+AnswerSource::ReadAsStored(const ChunkRef& chunk,
+                           MissingChunks* missing) const {
+  MAPSIEVE_RETURN_IF_ERROR(CheckStop());
+  const std::vector<core::ColumnSpec>& specs = columns.specs();
+  if (kind != storage::ChunkKind::kRaw ||
+      compression == core::Compression::kNone ||
+      specs.size() != snapshot.revision().spec.attributes.size() ||
+      chunk.stored_bytes < kMinStoredBlockBytes ||
+      chunk.stored_bytes > kMaxBatchBytes || !filter.PassesAllOf(chunk)) {
+    return std::nullopt;
+  }
+  absl::StatusOr<std::vector<std::byte>> block = snapshot.ReadChunk(chunk);
+  if (!block.ok()) {
+    MAPSIEVE_RETURN_IF_ERROR(CheckRead(chunk, block.status(), missing));
+    return std::nullopt;
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const core::BlockHeader header,
+                            core::ReadBlockHeader(*block));
+  const bool fits = std::all_of(
+      header.columns.begin(), header.columns.end(),
+      [&](const core::ColumnSpec& column) {
+        return std::find(specs.begin(), specs.end(), column) != specs.end();
+      });
+  if (!fits) return std::nullopt;
+  return *std::move(block);
+}
+
+absl::Status AnswerSource::CheckRead(const ChunkRef& chunk,
+                                     const absl::Status& status,
+                                     MissingChunks* missing) const {
+  if (missing == nullptr || !allows_partial || !absl::IsDataLoss(status)) {
+    return status;
   }
   missing->numbers.insert(chunk.number);
   missing->point_count += filter.CountCandidates(chunk);
   if (missing->listed.size() < kMaxListedChunks) {
-    missing->listed.push_back(MakeDamagedChunk(chunk, part.status()));
+    missing->listed.push_back(MakeDamagedChunk(chunk, status));
   }
-  return std::nullopt;
+  return absl::OkStatus();
 }
 
 absl::StatusOr<std::optional<std::vector<std::byte>>> AnswerStream::Next() {
+  const bool is_first = point_count_ == 0;
   MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud points, TakePoints());
-  if (points.size() == 0) return std::nullopt;
-  return core::EncodePoints(points,
-                            {.compression = source_.compression,
-                             .plan = plan_.has_value() ? &*plan_ : nullptr});
+  if (points.size() == 0) return TakeStored();
+  // The first block does not wait for the second one's points.
+  std::future<absl::Status> ahead;
+  if (!is_first) {
+    ahead = std::async(std::launch::async, [this] { return LoadAhead(); });
+  }
+  auto block = core::EncodePoints(
+      points, {.compression = source_.compression,
+               .plan = plan_.has_value() ? &*plan_ : nullptr});
+  if (ahead.valid()) MAPSIEVE_RETURN_IF_ERROR(ahead.get());
+  return block;
 }
 
 absl::StatusOr<bool> AnswerStream::Skip() {
+  const bool is_first = point_count_ == 0;
   MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud points, TakePoints());
-  return points.size() > 0;
+  if (points.size() == 0) return TakeStored().has_value();
+  // As far as Next, for a token tells how many chunks were missing so far.
+  if (!is_first) MAPSIEVE_RETURN_IF_ERROR(LoadAhead());
+  return true;
+}
+
+std::optional<std::vector<std::byte>> AnswerStream::TakeStored() {
+  if (!stored_.has_value()) return std::nullopt;
+  point_count_ += stored_point_count_;
+  label_counts_[static_cast<size_t>(Label::kNone)] += stored_point_count_;
+  return std::exchange(stored_, std::nullopt);
 }
 
 absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
-  const size_t limit = source_.columns.PointsPerBlock(kMaxBatchBytes);
-  // The first block is there as soon as any chunk gives points.
-  const size_t wanted = point_count_ == 0 ? 1 : limit;
-  while (!is_walked_ && pending_.size() - taken_ < wanted) {
+  const bool is_first = point_count_ == 0;
+  while (is_first && !is_walked_ && !stored_.has_value() &&
+         pending_.size() == 0) {
     MAPSIEVE_RETURN_IF_ERROR(LoadChunk());
   }
-  const size_t count = std::min(limit, pending_.size() - taken_);
+  if (!is_first) MAPSIEVE_RETURN_IF_ERROR(LoadAhead());
+  const size_t count = std::min(source_.columns.PointsPerBlock(kMaxBatchBytes),
+                                pending_.size() - taken_);
   for (size_t row = taken_; row < taken_ + count; ++row) {
     ++label_counts_[static_cast<size_t>(pending_labels_[row])];
   }
   LatticeCloud points = PendingPoints(taken_, count);
   taken_ += count;
-  if (point_count_ == 0 && source_.compression != core::Compression::kNone) {
+  if (!plan_.has_value() && count > 0 &&
+      source_.compression != core::Compression::kNone) {
     plan_ = core::PlanEncoding(points, source_.compression);
   }
   point_count_ += static_cast<int64_t>(count);
   return points;
+}
+
+absl::Status AnswerStream::LoadAhead() {
+  const size_t wanted = source_.columns.PointsPerBlock(kMaxBatchBytes);
+  while (!is_walked_ && !stored_.has_value() &&
+         pending_.size() - taken_ < wanted) {
+    MAPSIEVE_RETURN_IF_ERROR(LoadChunk());
+  }
+  return absl::OkStatus();
 }
 
 absl::Status AnswerStream::LoadChunk() {
@@ -94,6 +164,13 @@ absl::Status AnswerStream::LoadChunk() {
   if (source_.filter.CountCandidates(*chunk) == 0 ||
       missing_.numbers.contains(chunk->number)) {
     return absl::OkStatus();
+  }
+  if (choice_ == nullptr) {
+    MAPSIEVE_ASSIGN_OR_RETURN(stored_, source_.ReadAsStored(*chunk, &missing_));
+    stored_point_count_ = chunk->point_count;
+    if (stored_.has_value() || missing_.numbers.contains(chunk->number)) {
+      return absl::OkStatus();
+    }
   }
   // A choice counts on the points that were there.
   MAPSIEVE_ASSIGN_OR_RETURN(

@@ -62,6 +62,17 @@ struct AnswerSource {
   absl::StatusOr<std::optional<Part>> Read(const storage::ChunkRef& chunk,
                                            std::vector<std::string> names,
                                            MissingChunks* missing) const;
+  /// The bytes of a chunk that is a block of the answer as it is stored;
+  /// nothing: it is none, or missing as for Read.
+  absl::StatusOr<std::optional<std::vector<std::byte>>> ReadAsStored(
+      const storage::ChunkRef& chunk, MissingChunks* missing) const;
+
+ private:
+  /// `status`, or nothing if it is damage that the answer allows: then the
+  /// chunk was added to `missing`.
+  absl::Status CheckRead(const storage::ChunkRef& chunk,
+                         const absl::Status& status,
+                         MissingChunks* missing) const;
 };
 
 /// One pass over the chunks of an answer, as blocks. The same source and choice
@@ -81,7 +92,8 @@ class AnswerStream {
     pending_.lattice = core::Lattice(source.snapshot.map().spec.step_nm);
   }
 
-  /// The next block; nothing after the last one. Errors as
+  /// The next block; nothing after the last one. While it is encoded, another
+  /// thread reads the points of the one behind it. Errors as
   /// QueryCursor::NextBatch.
   absl::StatusOr<std::optional<std::vector<std::byte>>> Next();
 
@@ -95,7 +107,13 @@ class AnswerStream {
  private:
   /// The points of the next block; none after the last one.
   absl::StatusOr<core::LatticeCloud> TakePoints();
-  /// Appends what stays of the next chunk to the pending points.
+  /// The stored chunk whose turn it is, if any.
+  std::optional<std::vector<std::byte>> TakeStored();
+  /// Makes the pending points enough for a block, if as many come before a
+  /// stored chunk.
+  absl::Status LoadAhead();
+  /// Appends what stays of the next chunk to the pending points, or makes it
+  /// the stored chunk.
   absl::Status LoadChunk();
   /// Leaves the chosen ones of `passed` and returns where they are in the
   /// answer.
@@ -111,8 +129,11 @@ class AnswerStream {
   MissingChunks& missing_;
   ChunkWalk walk_;
   bool is_walked_ = false;
-  /// Made for the first block.
+  /// Made for the first block that is encoded.
   std::optional<core::EncodePlan> plan_;
+  /// A chunk as it is stored, the block behind all pending points.
+  std::optional<std::vector<std::byte>> stored_;
+  int64_t stored_point_count_ = 0;
   /// Points of the answer, those up to taken_ taken.
   core::LatticeCloud pending_;
   std::vector<core::Label> pending_labels_;

@@ -75,6 +75,11 @@ absl::StatusOr<PointFilter> PointFilter::Make(
   return filter;
 }
 
+bool PointFilter::PassesAllOf(const ChunkRef& chunk) const {
+  return !outliers_.has_value() && ranges_.empty() &&
+         (!region_.has_value() || region_->Encloses(chunk.bounds));
+}
+
 int64_t PointFilter::CountCandidates(const ChunkRef& chunk) const {
   if (!outliers_.has_value()) return chunk.point_count;
   int64_t count = 0;

@@ -40,6 +40,9 @@ class PointFilter {
     return static_cast<int64_t>(ranges_.size()) * kLargestValueAndFlag;
   }
 
+  /// Whether it is known that all points of the chunk pass.
+  bool PassesAllOf(const storage::ChunkRef& chunk) const;
+
   /// Points of the chunk that may pass.
   int64_t CountCandidates(const storage::ChunkRef& chunk) const;
 

@@ -141,7 +141,7 @@ struct QueryHeader {
   /// that computed them, at most the one asked for.
   int64_t revision = 0;
   int64_t step_nm = 0;
-  /// Columns of every batch, in this order.
+  /// Columns of the batches, which come in any order there.
   std::vector<core::ColumnSpec> columns;
   /// Points to come at most.
   int64_t candidate_point_count = 0;
@@ -178,7 +178,8 @@ class QueryCursor {
   /// The next points as one block of core/codec of 1 to kMaxBatchBytes bytes;
   /// nothing once all were given. Points come in Morton order of their tiles;
   /// the filter's survivors those of depth 3 and above first, then depth 2, 1
-  /// and 0, each part in Morton order throughout. Reads a few chunks of
+  /// and 0, each part in Morton order throughout. Raw chunks that the query
+  /// asks for whole may be batches as they are stored. Reads a few chunks of
   /// storage; the first call under a budget reads all candidates, with
   /// max_bytes several times, and the first call after a resume what was read
   /// before. After an error the cursor is of no further use.

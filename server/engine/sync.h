@@ -48,7 +48,7 @@ struct SyncHeader {
   int64_t revision = 0;
   int64_t step_nm = 0;
   int tile_level = 0;
-  /// Columns of every block, in this order.
+  /// Columns of the blocks, which come in any order there.
   std::vector<core::ColumnSpec> columns;
 };
 

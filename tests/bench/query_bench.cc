@@ -2,9 +2,9 @@
 // what gRPC itself does on this machine in the same run.
 //   query_bench HOST:PORT MAP [--rounds N] [--clients N] [--seconds S]
 //               [--process PID]
-// A child process streams messages of 1 MB by gRPC: the yardstick. Whole
-// answers are read as bytes, by the same code as the yardstick's, and by the
-// client library, which decodes them. PID is the server's, for its memory.
+// A child process streams messages of 1 MB of nothing by gRPC: the yardstick.
+// Whole answers are read as bytes, by the same code as the yardstick's, and by
+// the client library, which decodes them. PID is the server's, for its memory.
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -52,13 +52,13 @@ struct BenchOptions {
   int server_process = 0;
 };
 
-// Streams as many bytes as the request says, in equal messages that are made
-// once.
-class ByteStream final : public grpc::ServerWriteReactor<grpc::ByteBuffer> {
+// Streams as many bytes as the request says, in equal messages.
+class ByteStream final
+    : public grpc::ServerWriteReactor<v1::QueryRegionResponse> {
  public:
-  ByteStream(const grpc::ByteBuffer& message, int64_t bytes)
-      : message_(message),
-        left_(bytes / static_cast<int64_t>(kYardstickMessageBytes)) {
+  explicit ByteStream(int64_t bytes)
+      : left_(bytes / static_cast<int64_t>(kYardstickMessageBytes)),
+        block_(kYardstickMessageBytes, 'x') {
     Advance();
   }
   void OnWriteDone(bool ok) override {
@@ -70,39 +70,25 @@ class ByteStream final : public grpc::ServerWriteReactor<grpc::ByteBuffer> {
  private:
   void Advance() {
     if (left_-- > 0) {
+      message_.mutable_batch()->set_block(block_);
       StartWrite(&message_);
     } else {
       Finish(grpc::Status::OK);
     }
   }
 
-  const grpc::ByteBuffer& message_;
   int64_t left_;
+  const std::string block_;
+  v1::QueryRegionResponse message_;
 };
 
-class YardstickService final
-    : public v1::QueryService::WithRawCallbackMethod_QueryRegion<
-          v1::QueryService::Service> {
+class YardstickService final : public v1::QueryService::CallbackService {
  public:
-  YardstickService() {
-    const std::string text(kYardstickMessageBytes, 'x');
-    const grpc::Slice slice(text);
-    message_ = grpc::ByteBuffer(&slice, 1);
-  }
-  grpc::ServerWriteReactor<grpc::ByteBuffer>* QueryRegion(
+  grpc::ServerWriteReactor<v1::QueryRegionResponse>* QueryRegion(
       grpc::CallbackServerContext* /*context*/,
-      const grpc::ByteBuffer* request) override {
-    grpc::ByteBuffer copy = *request;
-    v1::QueryRegionRequest parsed;
-    const grpc::Status status =
-        grpc::SerializationTraits<v1::QueryRegionRequest>::Deserialize(&copy,
-                                                                       &parsed);
-    if (!status.ok()) Fail(status.error_message());
-    return new ByteStream(message_, parsed.max_bytes());
+      const v1::QueryRegionRequest* request) override {
+    return new ByteStream(request->max_bytes());
   }
-
- private:
-  grpc::ByteBuffer message_;
 };
 
 // A server in a process of its own.
@@ -208,6 +194,7 @@ void PrintStreams(const BenchOptions& options, const std::string& yardstick) {
   struct Row {
     std::string name;
     client::ColumnSelection columns;
+    bool raw = false;
   };
   const std::vector<Row> rows = {
       {"position, label", {.filter_columns = {FilterColumn::kLabel}}},
@@ -218,6 +205,7 @@ void PrintStreams(const BenchOptions& options, const std::string& yardstick) {
        {.filter_columns = {FilterColumn::kLabel, FilterColumn::kConfidence,
                            FilterColumn::kNormal},
         .all_attributes = true}},
+      {"raw points, attributes", {.all_attributes = true}, true},
   };
   std::printf(
       "| columns | blocks | bytes a point | MB/s | of a byte stream | "
@@ -230,6 +218,7 @@ void PrintStreams(const BenchOptions& options, const std::string& yardstick) {
       v1::QueryRegionRequest request;
       request.set_name("maps/" + options.map_id);
       request.set_plain_blocks(plain);
+      request.set_raw(row.raw);
       v1::ColumnSelection& columns = *request.mutable_columns();
       for (const FilterColumn column : row.columns.filter_columns) {
         columns.add_filter_columns(static_cast<v1::FilterColumn>(column));
@@ -237,6 +226,7 @@ void PrintStreams(const BenchOptions& options, const std::string& yardstick) {
       columns.set_all_attributes(row.columns.all_attributes);
       const client::QuerySpec query = {.map_id = options.map_id,
                                        .columns = row.columns,
+                                       .raw = row.raw,
                                        .plain_blocks = plain};
       int64_t bytes = 0;
       int64_t points = 0;

@@ -74,6 +74,21 @@ LatticeCloud MakeScene(uint32_t seed) {
   return mapsieve::testing::Shuffled(cloud, seed);
 }
 
+LatticeCloud WideScene(uint32_t seed, int column_count) {
+  LatticeCloud cloud = MakeScene(seed);
+  uint64_t state = 1;
+  for (int c = 0; c < column_count; ++c) {
+    core::Column column(
+        {"wide-" + std::to_string(c), core::ScalarType::kUint64}, cloud.size());
+    for (size_t i = 0; i < cloud.size(); ++i) {
+      state = state * 6364136223846793005 + 1442695040888963407;
+      column.Set(i, state ^ state >> 31);
+    }
+    cloud.attributes.columns().push_back(std::move(column));
+  }
+  return cloud;
+}
+
 core::SpdfOptions SceneOptions(core::DensityRule rule) {
   return {.neighbor_count = 20,
           .vote_scale_m2 = 0.08,
@@ -161,6 +176,20 @@ absl::StatusOr<Answer> ReadAll(
     absl::StatusOr<std::unique_ptr<QueryCursor>> cursor) {
   MAPSIEVE_RETURN_IF_ERROR(cursor.status());
   return ReadAll(**cursor);
+}
+
+absl::StatusOr<Batches> ReadBatches(
+    absl::StatusOr<std::unique_ptr<QueryCursor>> cursor) {
+  MAPSIEVE_RETURN_IF_ERROR(cursor.status());
+  Batches result;
+  while (true) {
+    MAPSIEVE_ASSIGN_OR_RETURN(auto block, (*cursor)->NextBatch());
+    if (!block.has_value()) break;
+    result.blocks.push_back(*std::move(block));
+    result.tokens.push_back((*cursor)->resume_token());
+  }
+  result.summary = (*cursor)->summary();
+  return result;
 }
 
 void ExpectSameCloud(const LatticeCloud& actual, const LatticeCloud& expected) {

@@ -1,6 +1,7 @@
 #ifndef MAPSIEVE_TESTS_ENGINE_ENGINE_TESTING_H_
 #define MAPSIEVE_TESTS_ENGINE_ENGINE_TESTING_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -31,6 +32,9 @@ namespace mapsieve::engine::testing {
 /// (uint16), time (float64), ring (uint8, missing at times), label (int32, a
 /// name that the filter uses too).
 core::LatticeCloud MakeScene(uint32_t seed);
+
+/// MakeScene with attributes of random bits, so that few points make a block.
+core::LatticeCloud WideScene(uint32_t seed, int column_count);
 
 /// Options under which the filter drops many points of MakeScene and keeps
 /// many.
@@ -65,6 +69,15 @@ struct Answer {
 };
 absl::StatusOr<Answer> ReadAll(QueryCursor& cursor);
 absl::StatusOr<Answer> ReadAll(
+    absl::StatusOr<std::unique_ptr<QueryCursor>> cursor);
+
+/// An answer batch by batch, with the resume token of each.
+struct Batches {
+  std::vector<std::vector<std::byte>> blocks;
+  std::vector<std::string> tokens;
+  QuerySummary summary;
+};
+absl::StatusOr<Batches> ReadBatches(
     absl::StatusOr<std::unique_ptr<QueryCursor>> cursor);
 
 /// Fails the test where the clouds differ: points in order, columns by name.

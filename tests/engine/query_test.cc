@@ -216,22 +216,6 @@ constexpr ProcessLimits kWideLimits = {.unit_points = 1 << 20,
                                        .pending_bytes = 1 << 26,
                                        .chunk_bytes = 1 << 22};
 
-/// MakeScene with attributes of random bits, so that few points make a block.
-LatticeCloud WideScene(uint32_t seed, int column_count) {
-  LatticeCloud cloud = MakeScene(seed);
-  uint64_t state = 1;
-  for (int c = 0; c < column_count; ++c) {
-    core::Column column(
-        {"wide-" + std::to_string(c), core::ScalarType::kUint64}, cloud.size());
-    for (size_t i = 0; i < cloud.size(); ++i) {
-      state = state * 6364136223846793005 + 1442695040888963407;
-      column.Set(i, state ^ state >> 31);
-    }
-    cloud.attributes.columns().push_back(std::move(column));
-  }
-  return cloud;
-}
-
 TEST(RegionQuery, ABudgetInBytesIsKeptAndUsed) {
   Workshop workshop(13);
   MAPSIEVE_ASSERT_OK(
@@ -392,25 +376,6 @@ TEST(RegionQuery, CovariancesOfAPlaneAndALineAreTheirClosedForms) {
 }
 
 /// The batches of a cursor, with the token after each.
-struct Batches {
-  std::vector<std::vector<std::byte>> blocks;
-  std::vector<std::string> tokens;
-  QuerySummary summary;
-};
-absl::StatusOr<Batches> ReadBatches(
-    absl::StatusOr<std::unique_ptr<QueryCursor>> cursor) {
-  MAPSIEVE_RETURN_IF_ERROR(cursor.status());
-  Batches result;
-  while (true) {
-    MAPSIEVE_ASSIGN_OR_RETURN(auto block, (*cursor)->NextBatch());
-    if (!block.has_value()) break;
-    result.blocks.push_back(*std::move(block));
-    result.tokens.push_back((*cursor)->resume_token());
-  }
-  result.summary = (*cursor)->summary();
-  return result;
-}
-
 TEST_F(RegionQueryTest, PlainBlocksHoldTheSamePoints) {
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer coded, workshop_->Query({}));
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer plain,

@@ -337,7 +337,9 @@ TEST_F(QueryServiceTest, TheClientGoesOnWhenTheServerComesBack) {
   MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
   MAPSIEVE_ASSERT_OK(client_->Upload("campus", "u", TestScene(300'000)));
   client::MapClient client(server_->address().ToString());
-  const client::QuerySpec spec = {.map_id = "campus", .raw = true};
+  // Far more than the connection holds.
+  const client::QuerySpec spec = {
+      .map_id = "campus", .raw = true, .plain_blocks = true};
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto whole, client.QueryAll(spec));
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto stream, client.Query(spec));
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(core::LatticeCloud got, stream->Next());
