@@ -14,10 +14,10 @@ using Covariance = std::array<float, 6>;
 inline constexpr float kVarianceAcross = 0.001f;
 
 /// How freely a point of `label` may slide, for plane-to-plane registration,
-/// without a unit: I - 0.999 n nᵀ on a surface, 0.001 I + 0.999 t tᵀ on a
-/// curve, I elsewhere, of the unit vectors `normal` n and `tangent` t.
-Covariance LabelCovariance(Label label, const std::array<float, 3>& normal,
-                           const std::array<float, 3>& tangent);
+/// without a unit: I - 0.999 n nᵀ, of the unit vector `normal` n, on a surface
+/// and on a curve, I elsewhere. The normal of a curve's point is one direction
+/// across the curve; that of its neighbour is another.
+Covariance LabelCovariance(Label label, const std::array<float, 3>& normal);
 
 }  // namespace mapsieve::core
 

@@ -190,7 +190,7 @@ void AnswerColumns::AddCovariance() {
   const std::vector<ColumnSpec> specs = FloatSpecs(kCovarianceNames);
   Add(specs,
       {std::string(kLabelColumn), std::string(kConfidenceColumn),
-       std::string(kNormalColumn), std::string(kTangentColumn)},
+       std::string(kNormalColumn)},
       [specs](const LatticeCloud& chunk, std::span<const uint32_t> rows,
               std::vector<Column>& answer) -> absl::Status {
         MAPSIEVE_ASSIGN_OR_RETURN(const LabelColumnView labels,
@@ -199,16 +199,11 @@ void AnswerColumns::AddCovariance() {
             const Column* const normal,
             FindProductColumn(chunk.attributes, kNormalColumn,
                               ScalarType::kUint32));
-        MAPSIEVE_ASSIGN_OR_RETURN(
-            const Column* const tangent,
-            FindProductColumn(chunk.attributes, kTangentColumn,
-                              ScalarType::kUint32));
         const size_t first = AppendColumns(specs, rows.size(), answer);
         for (size_t i = 0; i < rows.size(); ++i) {
           const core::Covariance values = core::LabelCovariance(
               labels.label(rows[i]),
-              core::DecodeOctahedral(normal->Get<uint32_t>(rows[i])),
-              core::DecodeOctahedral(tangent->Get<uint32_t>(rows[i])));
+              core::DecodeOctahedral(normal->Get<uint32_t>(rows[i])));
           for (size_t c = 0; c < values.size(); ++c) {
             answer[first + c].Set(i, values[c]);
           }

@@ -30,8 +30,7 @@ void RegistrationCloud::Add(const Vector3& position, const Vector3& normal) {
   const std::array<float, 3> n = {static_cast<float>(normal[0]),
                                   static_cast<float>(normal[1]),
                                   static_cast<float>(normal[2])};
-  covariances.push_back(
-      core::LabelCovariance(core::Label::kSurface, n, {0, 0, 1}));
+  covariances.push_back(core::LabelCovariance(core::Label::kSurface, n));
 }
 
 std::vector<Board> RoomBoards() {
