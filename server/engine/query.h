@@ -34,8 +34,7 @@ struct ColumnSelection {
   bool saliencies = false;
   /// cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz (float32): how freely a
   /// point may slide, for plane-to-plane registration, without a unit. With
-  /// normal n and tangent t: I - 0.999 n n^T on a surface, 0.001 I + 0.999 t
-  /// t^T on a curve, I at a junction.
+  /// normal n: I - 0.999 n n^T on a surface and on a curve, I at a junction.
   bool covariance = false;
   /// All attributes of the uploaded points, by name. Beside what the filter
   /// says they are named by core::NameBeside: one named as a column of
