@@ -8,10 +8,10 @@ set -euo pipefail
 build=(
   build-essential ca-certificates cmake ninja-build pkg-config ccache python3
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev
-  libabsl-dev libeigen3-dev liblz4-dev libzstd-dev libxxhash-dev liblzf-dev
+  libabsl-dev libeigen3-dev libnanoflann-dev liblz4-dev libzstd-dev libxxhash-dev liblzf-dev
   libsqlite3-dev libcli11-dev nlohmann-json3-dev libspdlog-dev libpng-dev
   libfreetype-dev liboctomap-dev fonts-dejavu-core gnuplot-nox
-  libgtest-dev libgmock-dev libnanoflann-dev
+  libgtest-dev libgmock-dev
   clang-14 libclang-rt-14-dev
 )
 tests=(libprotoc-dev octomap-tools)
