@@ -77,17 +77,21 @@ TEST_P(CatalogueTest, ACommitMayNameWhereTheMapLies) {
   change.crs_wkt = "EPSG:2056";
   MAPSIEVE_ASSERT_OK(catalogue_->CommitRevision(made.uid, 2, change));
   MAPSIEVE_ASSERT_OK(catalogue_->CommitRevision(made.uid, 3, {}));
+  EXPECT_EQ(catalogue_->GetMap("campus")->spec.frame_id, "map");
+  change = {};
+  change.frame_id = "odom";
+  MAPSIEVE_ASSERT_OK(catalogue_->CommitRevision(made.uid, 4, change));
   MAPSIEVE_ASSERT_OK(catalogue_->RollBack(made.uid, 1));
   change.crs_wkt.assign((size_t{64} << 10) + 1, 'x');
   EXPECT_THAT(
-      catalogue_->CommitRevision(made.uid, 5, change),
+      catalogue_->CommitRevision(made.uid, 6, change),
       StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("crs_wkt")));
 
   Reopen();
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const MapRecord map,
                                 catalogue_->GetMap("campus"));
   EXPECT_EQ(map.spec.crs_wkt, "EPSG:2056");
-  EXPECT_EQ(map.spec.frame_id, "map");
+  EXPECT_EQ(map.spec.frame_id, "odom");
 }
 
 TEST_P(CatalogueTest, AMapIdIsTakenOnce) {
