@@ -29,6 +29,9 @@ struct RevisionChange {
   /// in the same transaction, with `upload_report`.
   std::string finalized_upload_uid;
   std::string upload_report;
+  /// The map's from then on, whatever it is rolled back to; empty: as before.
+  std::string crs_wkt;
+  std::string frame_id;
 };
 
 /// Where a page of chunks goes on: behind the chunk `number` of `tile`.

@@ -17,6 +17,7 @@ namespace {
 
 constexpr size_t kMaxDisplayNameBytes = 128;
 constexpr size_t kMaxCrsBytes = size_t{64} << 10;
+constexpr size_t kMaxFrameIdBytes = 255;
 
 absl::Status CheckSize(const char* field, size_t size, size_t limit) {
   if (size <= limit) return absl::OkStatus();
@@ -54,6 +55,13 @@ absl::Status CheckAttributes(const std::vector<core::ColumnSpec>& attributes) {
   return absl::OkStatus();
 }
 
+// Where a map lies.
+absl::Status CheckPlace(const std::string& crs_wkt,
+                        const std::string& frame_id) {
+  MAPSIEVE_RETURN_IF_ERROR(CheckSize("crs_wkt", crs_wkt.size(), kMaxCrsBytes));
+  return CheckSize("frame_id", frame_id.size(), kMaxFrameIdBytes);
+}
+
 bool Holds(const core::LatticeBox& outer, const core::LatticeBox& inner) {
   const auto axis = [](int64_t outer_min, int64_t outer_max, int64_t inner_min,
                        int64_t inner_max) {
@@ -71,8 +79,7 @@ absl::Status CheckMapSpec(const MapSpec& spec) {
   MAPSIEVE_RETURN_IF_ERROR(CheckMapId(spec.id));
   MAPSIEVE_RETURN_IF_ERROR(CheckSize("display_name", spec.display_name.size(),
                                      kMaxDisplayNameBytes));
-  MAPSIEVE_RETURN_IF_ERROR(
-      CheckSize("crs_wkt", spec.crs_wkt.size(), kMaxCrsBytes));
+  MAPSIEVE_RETURN_IF_ERROR(CheckPlace(spec.crs_wkt, spec.frame_id));
   MAPSIEVE_RETURN_IF_ERROR(
       CheckRange("step_nm", spec.step_nm, 1, core::kMaxStepNm));
   return CheckRange("tile_level", spec.tile_level, 0, core::kMaxTileLevel);
@@ -152,6 +159,7 @@ absl::Status CheckRevisionChange(const RevisionChange& change, int tile_level) {
                  static_cast<int64_t>(RevisionKind::kUpload),
                  static_cast<int64_t>(RevisionKind::kReplaceRegion)));
   MAPSIEVE_RETURN_IF_ERROR(CheckAttributes(change.spec.attributes));
+  MAPSIEVE_RETURN_IF_ERROR(CheckPlace(change.crs_wkt, change.frame_id));
   for (size_t i = 0; i < change.added.size(); ++i) {
     MAPSIEVE_RETURN_IF_ERROR(
         Annotate(CheckChunk(change.added[i], tile_level),

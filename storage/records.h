@@ -17,7 +17,8 @@
 /// format. Opaque strings may hold any bytes: storage never looks into them.
 namespace mapsieve::storage {
 
-/// What is fixed when a map is created.
+/// What a map is created with. All of it is fixed but where a commit names
+/// another crs_wkt or frame_id.
 struct MapSpec {
   /// [a-z]([a-z0-9-]{0,61}[a-z0-9])?
   std::string id;
@@ -29,6 +30,8 @@ struct MapSpec {
   int tile_level = 15;
   /// Coordinate reference system as WKT, at most 64 KiB; empty if unknown.
   std::string crs_wkt;
+  /// What robots call the map's frame, at most 255 bytes; empty if unknown.
+  std::string frame_id;
 
   friend bool operator==(const MapSpec&, const MapSpec&) = default;
 };

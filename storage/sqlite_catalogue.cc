@@ -51,6 +51,10 @@ absl::StatusOr<RevisionRecord> Commit(SqliteDatabase& database,
                             ApplyChange(database, map, parent.totals, change));
   MAPSIEVE_RETURN_IF_ERROR(InsertRevision(database, map.key, revision));
   MAPSIEVE_RETURN_IF_ERROR(SetNewestRevision(database, map.key, revision));
+  if (!change.crs_wkt.empty() || !change.frame_id.empty()) {
+    MAPSIEVE_RETURN_IF_ERROR(
+        SetPlace(database, map.key, change.crs_wkt, change.frame_id));
+  }
   if (change.spec.product.has_value()) {
     MAPSIEVE_RETURN_IF_ERROR(
         SetProcessOptions(database, map.key, change.spec.product->options));

@@ -14,7 +14,7 @@ namespace mapsieve::storage {
 enum class IfAbsent { kCreate, kFail };
 
 /// Opens the catalogue in the SQLite database `path`; FORMAT.md describes its
-/// tables. One of version 3 becomes one of this version, of which a crash
+/// tables. One of version 3 or 4 becomes one of this version, of which a crash
 /// leaves all or nothing. The caller sees to it that one process at a time has
 /// it open, and syncs the directory after the file was made. `file_system`
 /// outlives it. kDataLoss: damaged, no SQLite database, or absent and

@@ -18,7 +18,7 @@ constexpr int64_t kChunksOfAPart = 4096;
 // In the order of TakeMap.
 constexpr char kMapColumns[] =
     "map_key, deleted, uid, id, display_name, step_nm, tile_level, crs_wkt, "
-    "newest_revision, (SELECT min(number) FROM revisions WHERE "
+    "frame_id, newest_revision, (SELECT min(number) FROM revisions WHERE "
     "revisions.map_key = maps.map_key AND expired = 0), create_time, "
     "update_time, process_options";
 
@@ -38,6 +38,7 @@ absl::StatusOr<MapRow> TakeMap(SqliteStatement& row) {
   row.Check(spec.tile_level >= 0 && spec.tile_level <= core::kMaxTileLevel,
             "is no level of tiles");
   row.Take(spec.crs_wkt)
+      .Take(spec.frame_id)
       .TakeCount(record.newest_revision)
       .TakeCount(record.oldest_revision)
       .Take(record.create_time)
@@ -181,13 +182,15 @@ absl::StatusOr<MapRecord> CreateMap(SqliteDatabase& database,
         SqliteStatement insert,
         database.Prepare(
             "INSERT INTO maps (uid, id, display_name, step_nm, tile_level, "
-            "crs_wkt, newest_revision, create_time, update_time) VALUES "
-            "(lower(hex(randomblob(16))), ?, ?, ?, ?, ?, ?, ?, ?)"));
+            "crs_wkt, frame_id, newest_revision, create_time, update_time) "
+            "VALUES (lower(hex(randomblob(16))), ?, ?, ?, ?, ?, ?, ?, ?, "
+            "?)"));
     MAPSIEVE_RETURN_IF_ERROR(insert.Bind(spec.id)
                                  .Bind(spec.display_name)
                                  .Bind(spec.step_nm)
                                  .Bind(spec.tile_level)
                                  .Bind(spec.crs_wkt)
+                                 .Bind(spec.frame_id)
                                  .Bind(first.number)
                                  .Bind(first.create_time)
                                  .Bind(first.create_time)
@@ -357,6 +360,16 @@ absl::Status SetNewestRevision(SqliteDatabase& database, int64_t map_key,
       .Bind(revision.create_time)
       .Bind(map_key)
       .Run();
+}
+
+absl::Status SetPlace(SqliteDatabase& database, int64_t map_key,
+                      const std::string& crs_wkt, const std::string& frame_id) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement update,
+      database.Prepare(
+          "UPDATE maps SET crs_wkt = ifnull(nullif(?, ''), crs_wkt), "
+          "frame_id = ifnull(nullif(?, ''), frame_id) WHERE map_key = ?"));
+  return update.Bind(crs_wkt).Bind(frame_id).Bind(map_key).Run();
 }
 
 absl::Status SetProcessOptions(SqliteDatabase& database, int64_t map_key,

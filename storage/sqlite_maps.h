@@ -66,6 +66,9 @@ absl::Status InsertRevision(SqliteDatabase& database, int64_t map_key,
 /// Makes `revision` the newest of the map.
 absl::Status SetNewestRevision(SqliteDatabase& database, int64_t map_key,
                                const RevisionRecord& revision);
+/// Sets those of the two that are not empty.
+absl::Status SetPlace(SqliteDatabase& database, int64_t map_key,
+                      const std::string& crs_wkt, const std::string& frame_id);
 absl::Status SetProcessOptions(SqliteDatabase& database, int64_t map_key,
                                const std::string& options);
 absl::StatusOr<std::vector<RevisionRecord>> ListRevisions(

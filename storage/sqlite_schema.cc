@@ -10,7 +10,7 @@ namespace {
 
 // "msve": marks the database as ours.
 constexpr int64_t kApplicationId = 0x6d737665;
-constexpr int64_t kSchemaVersion = 4;
+constexpr int64_t kSchemaVersion = 5;
 // The version whose pages have no checksums.
 constexpr int64_t kVersionWithoutChecksums = 3;
 
@@ -25,6 +25,7 @@ CREATE TABLE maps (
   step_nm INTEGER NOT NULL,
   tile_level INTEGER NOT NULL,
   crs_wkt TEXT NOT NULL,
+  frame_id TEXT NOT NULL DEFAULT '',
   newest_revision INTEGER NOT NULL,
   create_time INTEGER NOT NULL,
   update_time INTEGER NOT NULL,
@@ -144,7 +145,7 @@ CREATE INDEX operations_by_target ON operations (target, number);
 CREATE INDEX operations_unfinished ON operations (number) WHERE state < 3;
 )sql";
 
-// What version 4 has besides the columns that it added.
+// What version 4 brought besides columns.
 constexpr char kRetention[] = R"sql(
 CREATE INDEX revisions_kept ON revisions (map_key, number) WHERE expired = 0;
 CREATE INDEX chunks_removed ON chunks (map_key, removed_revision, number)
@@ -176,14 +177,18 @@ absl::Status SetVersion(SqliteDatabase& database) {
       absl::StrCat("PRAGMA user_version = ", kSchemaVersion));
 }
 
-// The tables of version 3 as those of version 4.
-absl::Status MigrateTables(SqliteDatabase& database) {
+// The tables of an earlier version as those of kSchemaVersion.
+absl::Status MigrateTables(SqliteDatabase& database, int64_t version) {
+  if (version == kVersionWithoutChecksums) {
+    MAPSIEVE_RETURN_IF_ERROR(database.Execute(
+        "ALTER TABLE revisions ADD COLUMN expired INTEGER NOT NULL DEFAULT 0"));
+    MAPSIEVE_RETURN_IF_ERROR(database.Execute(
+        "ALTER TABLE upload_revisions ADD COLUMN report BLOB NOT NULL DEFAULT "
+        "x''"));
+    MAPSIEVE_RETURN_IF_ERROR(database.Execute(kRetention));
+  }
   MAPSIEVE_RETURN_IF_ERROR(database.Execute(
-      "ALTER TABLE revisions ADD COLUMN expired INTEGER NOT NULL DEFAULT 0"));
-  MAPSIEVE_RETURN_IF_ERROR(database.Execute(
-      "ALTER TABLE upload_revisions ADD COLUMN report BLOB NOT NULL DEFAULT "
-      "x''"));
-  MAPSIEVE_RETURN_IF_ERROR(database.Execute(kRetention));
+      "ALTER TABLE maps ADD COLUMN frame_id TEXT NOT NULL DEFAULT ''"));
   return SetVersion(database);
 }
 
@@ -202,10 +207,10 @@ absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent) {
   MAPSIEVE_ASSIGN_OR_RETURN(const Identity identity, ReadIdentity(database));
   const auto [application, version] = identity;
   if (application == kApplicationId) {
-    if (version != kSchemaVersion && version != kVersionWithoutChecksums) {
+    if (version < kVersionWithoutChecksums || version > kSchemaVersion) {
       return absl::FailedPreconditionError(absl::StrCat(
           database.path(), ": a catalogue of version ", version,
-          ", this program reads versions ", kVersionWithoutChecksums, " and ",
+          ", this program reads versions ", kVersionWithoutChecksums, " to ",
           kSchemaVersion, "; use the program that wrote it, or a newer one"));
     }
     if (!database.has_page_checksums()) {
@@ -215,8 +220,8 @@ absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent) {
           "catalogue of version ",
           version, " has; restore the data directory from a backup"));
     }
-    if (version == kVersionWithoutChecksums) {
-      MAPSIEVE_RETURN_IF_ERROR(MigrateTables(database));
+    if (version < kSchemaVersion) {
+      MAPSIEVE_RETURN_IF_ERROR(MigrateTables(database, version));
     }
     return transaction.Commit();
   }

@@ -12,8 +12,8 @@ namespace mapsieve::storage {
 absl::StatusOr<bool> LacksPageChecksums(SqliteDatabase& database);
 
 /// Makes the tables of FORMAT.md in an empty database, makes those of version 3
-/// into them, or checks that it is a catalogue of this version; its pages have
-/// checksums. One transaction. Errors: those of OpenSqliteCatalogue.
+/// or 4 into them, or checks that it is a catalogue of this version; its pages
+/// have checksums. One transaction. Errors: those of OpenSqliteCatalogue.
 absl::Status PrepareSchema(SqliteDatabase& database, IfAbsent if_absent);
 
 }  // namespace mapsieve::storage

@@ -81,6 +81,7 @@ absl::StatusOr<std::vector<std::byte>> UploadReader::Read(int64_t offset,
         absl::StrCat(path_, ": ", size, " bytes at offset ", offset,
                      " asked for, ", size_, " are committed"));
   }
+  if (size == 0) return std::vector<std::byte>();
   return ReadExactly(*file_, path_, offset, size);
 }
 
@@ -153,9 +154,11 @@ absl::StatusOr<std::unique_ptr<UploadReader>> UploadStore::OpenReader(
                             catalogue_.GetUploadByUid(upload_uid));
   const std::string path = PathOf(upload_uid);
   auto file = file_system_.Open(path, OpenMode::kRead);
-  if (absl::IsNotFound(file.status()) && record.committed_bytes > 0 &&
+  if (absl::IsNotFound(file.status()) &&
       record.state != UploadState::kFinalized) {
-    return CheckLength(path, record.committed_bytes, 0);
+    MAPSIEVE_RETURN_IF_ERROR(CheckLength(path, record.committed_bytes, 0));
+    // Nobody has written to it.
+    return std::unique_ptr<UploadReader>(new UploadReader(path, nullptr, 0));
   }
   MAPSIEVE_RETURN_IF_ERROR(file.status());
   MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size, (*file)->Size());

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "client/api/map_types.h"
 #include "core/cloud/point_cloud.h"
 
 namespace mapsieve::client {
@@ -23,6 +24,8 @@ class BlockSource {
   virtual absl::StatusOr<std::vector<std::byte>> NextBlock() = 0;
   /// Points left out of the blocks since the last Rewind.
   virtual core::RefusedCounts refused() const = 0;
+  /// Where the points come from; known once a block was read.
+  virtual UploadSource source() const { return {}; }
 };
 
 /// Points of a block of an upload at most, if each has these attributes: enough
@@ -53,6 +56,7 @@ class KeptBlocks final : public BlockSource {
   absl::Status Rewind() override;
   absl::StatusOr<std::vector<std::byte>> NextBlock() override;
   core::RefusedCounts refused() const override { return source_.refused(); }
+  UploadSource source() const override { return source_.source(); }
 
  private:
   enum class Keeping {

@@ -185,6 +185,7 @@ MapInfo FromProto(const v1::Map& map) {
           .step_nm = map.step_nm(),
           .tile_level = map.tile_level(),
           .crs_wkt = map.crs_wkt(),
+          .frame_id = map.frame_id(),
           .revision = map.revision(),
           .processed_revision = map.processed_revision()};
 }
@@ -221,6 +222,20 @@ UploadReport FromProto(const v1::UploadReport& report) {
       .removed_point_count = report.removed_point_count(),
       .tile_count = report.tile_count()};
   if (report.has_bounds()) result.bounds = FromProto(report.bounds());
+  if (report.has_census()) {
+    const v1::PointCensus& census = report.census();
+    result.census =
+        PointCensus{.duplicate_point_count = census.duplicate_point_count(),
+                    .density_cell_level = census.density_cell_level(),
+                    .density_histogram = {census.density_histogram().begin(),
+                                          census.density_histogram().end()}};
+    if (census.has_overlapping_point_count()) {
+      result.census->overlapping_point_count = census.overlapping_point_count();
+    }
+  }
+  for (const v1::UploadWarning& warning : report.warnings()) {
+    result.warnings.push_back({warning.code(), warning.message()});
+  }
   return result;
 }
 

@@ -94,6 +94,7 @@ absl::StatusOr<MapInfo> MapClient::CreateMap(const MapSpec& spec) {
   request.set_tile_edge(spec.tile_edge);
   request.set_display_name(spec.display_name);
   request.set_crs_wkt(spec.crs_wkt);
+  request.set_frame_id(spec.frame_id);
   v1::Map map;
   MAPSIEVE_RETURN_IF_ERROR(
       ToStatus(connection_->maps->CreateMap(&context, request, &map)));
@@ -236,6 +237,12 @@ absl::StatusOr<UploadReport> MapClient::Upload(const std::string& map_id,
         digest.refused.non_finite);
     request.mutable_upload()->set_refused_out_of_lattice_count(
         digest.refused.out_of_lattice);
+    const UploadSource from = blocks.source();
+    v1::UploadSource& told = *request.mutable_upload()->mutable_source();
+    told.set_crs_wkt(from.crs_wkt);
+    told.set_frame_id(from.frame_id);
+    told.set_unit(from.unit);
+    told.set_coordinate_step(from.coordinate_step);
     MAPSIEVE_RETURN_IF_ERROR(ToStatus(
         connection_->uploads->CreateUpload(&context, request, &upload)));
   }

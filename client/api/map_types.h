@@ -29,7 +29,10 @@ struct MapSpec {
   /// server's default, 2^15 steps.
   double tile_edge = 0;
   std::string display_name;
+  /// WKT or "EPSG:n"; empty: that of the first upload that names one.
   std::string crs_wkt;
+  /// What robots call the map's frame; empty: as crs_wkt.
+  std::string frame_id;
 };
 
 struct MapInfo {
@@ -39,7 +42,9 @@ struct MapInfo {
   std::string display_name;
   int64_t step_nm = 0;
   int tile_level = 0;
+  /// Empty in lists.
   std::string crs_wkt;
+  std::string frame_id;
   int64_t revision = 0;
   /// Newest revision that the filter has processed; 0: none.
   int64_t processed_revision = 0;
@@ -91,6 +96,36 @@ struct MapStats {
   std::optional<ProcessOptions> options;
 };
 
+/// What is known of the file or sensor that points come from.
+struct UploadSource {
+  std::string crs_wkt;
+  std::string frame_id;
+  /// Of the horizontal coordinates: "metre", "foot", "US survey foot",
+  /// "degree" or another name.
+  std::string unit;
+  /// In that unit; 0: none.
+  double coordinate_step = 0;
+};
+
+/// How the points of an upload lie among each other and in the map before.
+struct PointCensus {
+  /// Added points beyond the first of their lattice cell.
+  int64_t duplicate_point_count = 0;
+  /// Lattice cells that got points and had some before; nothing: not counted.
+  std::optional<int64_t> overlapping_point_count;
+  /// log2 of the edge of the cells of the histogram in steps.
+  int density_cell_level = 0;
+  /// Element i: cells that got 2^i to 2^(i+1) - 1 points.
+  std::vector<int64_t> density_histogram;
+};
+
+/// What may be wrong with an upload.
+struct UploadWarning {
+  /// proto/mapsieve/v1/upload_service.proto lists them.
+  std::string code;
+  std::string message;
+};
+
 /// What became of an upload.
 struct UploadReport {
   int64_t revision = 0;
@@ -101,6 +136,9 @@ struct UploadReport {
   int64_t removed_point_count = 0;
   int64_t tile_count = 0;
   std::optional<Bounds> bounds;
+  /// Nothing: of an earlier version of the server.
+  std::optional<PointCensus> census;
+  std::vector<UploadWarning> warnings;
   /// The same points had been uploaded before: nothing was added now.
   bool already_there = false;
   /// Bytes of the upload, and how many of them were sent by this call.

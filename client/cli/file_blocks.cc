@@ -5,6 +5,7 @@
 
 #include "core/base/mutex.h"
 #include "core/base/status.h"
+#include "core/geometry/crs.h"
 
 namespace mapsieve::client {
 
@@ -22,6 +23,18 @@ absl::Status FileBlocks::Rewind() {
   ready_.clear();
   plan_.reset();
   return absl::OkStatus();
+}
+
+UploadSource FileBlocks::source() const {
+  // Limits of proto/mapsieve/v1/map_service.proto and upload_service.proto.
+  const auto fitting = [](const std::string& text, size_t max_bytes) {
+    return text.size() <= max_bytes ? text : "";
+  };
+  const PointFileInfo& info = reader_->info();
+  return {.crs_wkt = fitting(info.crs_wkt, 64 * 1024),
+          .frame_id = fitting(info.frame_id, 255),
+          .unit = fitting(info.unit, 64),
+          .coordinate_step = info.coordinate_step};
 }
 
 absl::StatusOr<std::vector<std::byte>> FileBlocks::NextBlock() {
@@ -85,6 +98,8 @@ absl::Status FileListBlocks::Rewind() {
   file_.reset();
   opened_count_ = 0;
   refused_before_ = {};
+  source_ = {};
+  differences_.clear();
   return absl::OkStatus();
 }
 
@@ -92,7 +107,32 @@ absl::Status FileListBlocks::OpenNext() {
   refused_before_ = refused();
   const std::string& path = paths_[opened_count_++];
   file_.emplace(path, options_, lattice_);
-  return Annotate(file_->Rewind(), path);
+  MAPSIEVE_RETURN_IF_ERROR(Annotate(file_->Rewind(), path));
+  AddSource(file_->source());
+  return absl::OkStatus();
+}
+
+void FileListBlocks::AddSource(const UploadSource& source) {
+  const auto add = [this](const char* what, bool is_same,
+                          const std::string& from, std::string& to) {
+    if (from.empty() || differences_.contains(what)) return;
+    if (to.empty()) {
+      to = from;
+    } else if (!is_same) {
+      to.clear();
+      differences_.insert(what);
+    }
+  };
+  add("CRS", core::IsSameCrs(source.crs_wkt, source_.crs_wkt), source.crs_wkt,
+      source_.crs_wkt);
+  add("frame", source.frame_id == source_.frame_id, source.frame_id,
+      source_.frame_id);
+  add("unit", source.unit == source_.unit, source.unit, source_.unit);
+  const double step = source.coordinate_step;
+  if (step > 0 &&
+      (source_.coordinate_step == 0 || step < source_.coordinate_step)) {
+    source_.coordinate_step = step;
+  }
 }
 
 absl::StatusOr<std::vector<std::byte>> FileListBlocks::NextBlock() {

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -28,8 +29,9 @@ class FileBlocks final : public BlockSource {
   absl::StatusOr<std::vector<std::byte>> NextBlock() override;
   /// Of all batches read, those whose blocks are still to come included.
   core::RefusedCounts refused() const override { return refused_; }
-  /// Of the open file; Rewind comes first.
-  const PointFileInfo& info() const { return reader_->info(); }
+  /// Of the open file; Rewind comes first. What a server would not take as text
+  /// is left out.
+  UploadSource source() const override;
 
  private:
   const std::filesystem::path path_;
@@ -45,7 +47,8 @@ class FileBlocks final : public BlockSource {
 };
 
 /// The blocks of several point files, one file after the other. An error names
-/// its file.
+/// its file. Their source is what those files that tell it agree on, and the
+/// finest step.
 class FileListBlocks final : public BlockSource {
  public:
   FileListBlocks(std::vector<std::string> paths, ReadOptions options,
@@ -54,9 +57,13 @@ class FileListBlocks final : public BlockSource {
   absl::Status Rewind() override;
   absl::StatusOr<std::vector<std::byte>> NextBlock() override;
   core::RefusedCounts refused() const override;
+  UploadSource source() const override { return source_; }
+  /// What the files opened so far do not agree on, in words.
+  const std::set<std::string>& differences() const { return differences_; }
 
  private:
   absl::Status OpenNext();
+  void AddSource(const UploadSource& source);
 
   const std::vector<std::string> paths_;
   const ReadOptions options_;
@@ -66,6 +73,8 @@ class FileListBlocks final : public BlockSource {
   size_t opened_count_ = 0;
   /// Of the files before it.
   core::RefusedCounts refused_before_;
+  UploadSource source_;
+  std::set<std::string> differences_;
 };
 
 }  // namespace mapsieve::client

@@ -152,7 +152,7 @@ absl::Status RunSample(const CommonOptions& common,
   const ReadOptions read_options = {.column_names = command.column_names};
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<PointReader> reader,
                             OpenPointFile(command.input, read_options));
-  const std::string crs = reader->info().crs_wkt;
+  const PointFileInfo info = reader->info();
   MAPSIEVE_ASSIGN_OR_RETURN(core::PointCloud input,
                             ReadPointFile(command.input, read_options));
   const size_t points_in = input.size();
@@ -161,9 +161,11 @@ absl::Status RunSample(const CommonOptions& common,
   MAPSIEVE_ASSIGN_OR_RETURN(const Sample sample,
                             TakeSample(std::move(input), command, *workers));
   stopwatch.Lap();
-  MAPSIEVE_RETURN_IF_ERROR(WritePointFile(
-      command.output, core::ToPointCloud(sample.cloud),
-      {.coordinate_step = sample.cloud.lattice.step(), .crs_wkt = crs}));
+  MAPSIEVE_RETURN_IF_ERROR(
+      WritePointFile(command.output, core::ToPointCloud(sample.cloud),
+                     {.coordinate_step = sample.cloud.lattice.step(),
+                      .crs_wkt = info.crs_wkt,
+                      .frame_id = info.frame_id}));
   Json result = {
       {"points_in", points_in},
       {"refused_non_finite_count", sample.refused.non_finite},
@@ -191,7 +193,8 @@ absl::Status RunConvert(const CommonOptions& common,
       OpenPointFile(command.input, {.column_names = command.column_names}));
   const PointFileInfo& info = reader->info();
   WriteOptions options = {.attributes = info.attributes,
-                          .crs_wkt = info.crs_wkt};
+                          .crs_wkt = info.crs_wkt,
+                          .frame_id = info.frame_id};
   if (info.coordinate_step > 0) {
     options.coordinate_step = info.coordinate_step;
   } else if (std::filesystem::path(command.output).extension() != ".las") {

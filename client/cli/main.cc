@@ -62,6 +62,13 @@ void AddCreate(CLI::App& app, const CommonOptions& common, Run& run) {
   command->add_option("--tile-edge", options->tile_edge,
                       "Edge of a processing tile in map units, rounded up to a "
                       "power of two of steps; results do not depend on it");
+  command->add_option("--crs", options->crs,
+                      "Coordinate reference system, EPSG:n or WKT, default "
+                      "that of the first upload that names one; nothing is "
+                      "converted");
+  command->add_option("--frame-id", options->frame_id,
+                      "What robots call the map's frame, for instance map; "
+                      "default that of the first upload that names one");
   command->callback([=, &common, &run] {
     run = [=, &common] { return RunCreate(common, *options); };
   });

@@ -16,6 +16,7 @@
 #include "client/cli/output.h"
 #include "client/cli/progress_bar.h"
 #include "client/cli/revision_json.h"
+#include "client/cli/upload_report.h"
 #include "client/formats/occupancy_file.h"
 #include "client/formats/point_file.h"
 #include "core/base/status.h"
@@ -50,28 +51,6 @@ Json ProcessJson(const std::string& map, const ProcessReport& report,
           {"round_count", report.round_count},
           {"updated_tile_count", report.updated_tile_count},
           {"process_s", seconds}};
-}
-
-Json BoundsJson(const std::optional<Bounds>& bounds) {
-  if (!bounds.has_value()) return nullptr;
-  const auto point = [](const core::Point3& p) {
-    return Json::array({p.x, p.y, p.z});
-  };
-  return {{"min", point(bounds->min)}, {"max", point(bounds->max)}};
-}
-
-Json UploadJson(const UploadReport& report, double seconds) {
-  return {{"already_there", report.already_there},
-          {"added_point_count",
-           report.already_there ? 0 : report.added_point_count},
-          {"refused_non_finite_count", report.refused_non_finite_count},
-          {"refused_out_of_lattice_count", report.refused_out_of_lattice_count},
-          {"revision", report.revision},
-          {"tile_count", report.tile_count},
-          {"bounds", BoundsJson(report.bounds)},
-          {"upload_bytes", report.upload_bytes},
-          {"sent_bytes", report.sent_bytes},
-          {"upload_s", seconds}};
 }
 
 /// The lowest corner of a tile in map units.
@@ -168,6 +147,23 @@ absl::StatusOr<Json> Process(MapClient& client, const std::string& map,
   return ProcessJson(map, *report, SecondsSince(start));
 }
 
+/// Ends a command that uploads and has printed its texts for people: runs the
+/// filter if `command` says so, and prints its result, or all as JSON.
+absl::Status ProcessAndPrint(const CommonOptions& common, MapClient& client,
+                             const UploadCommand& command, Json result) {
+  if (command.process) {
+    MAPSIEVE_ASSIGN_OR_RETURN(result["process"],
+                              Process(client, command.map, std::nullopt));
+  }
+  if (common.json) {
+    PrintResult(true, result);
+  } else if (command.process) {
+    std::printf("\n");
+    PrintResult(false, result["process"]);
+  }
+  return absl::OkStatus();
+}
+
 /// The query that a command's arguments describe.
 absl::StatusOr<QuerySpec> MakeQuerySpec(const QueryCommand& command) {
   QuerySpec spec = command.spec;
@@ -217,7 +213,10 @@ std::string WhatToDo(const VerifyCommand& command, const VerifyReport& report) {
 absl::Status RunCreate(const CommonOptions& common,
                        const CreateCommand& command) {
   MapClient client(common.server);
-  MapSpec spec = {.id = command.map, .tile_edge = command.tile_edge};
+  MapSpec spec = {.id = command.map,
+                  .tile_edge = command.tile_edge,
+                  .crs_wkt = command.crs,
+                  .frame_id = command.frame_id};
   if (command.step > 0) {
     const double step_nm = std::nearbyint(command.step * 1e9);
     if (!(step_nm >= 1 && step_nm <= static_cast<double>(core::kMaxStepNm))) {
@@ -230,7 +229,9 @@ absl::Status RunCreate(const CommonOptions& common,
   PrintResult(common.json,
               {{"map", map.id},
                {"step", Step(map)},
-               {"tile_edge", std::ldexp(Step(map), map.tile_level)}});
+               {"tile_edge", std::ldexp(Step(map), map.tile_level)},
+               {"crs", map.crs_wkt},
+               {"frame_id", map.frame_id}});
   return absl::OkStatus();
 }
 
@@ -267,16 +268,14 @@ absl::Status RunUpload(const CommonOptions& common,
     }
     if (!report.ok()) return Annotate(report.status(), file);
     Json result = {{"file", file}};
-    result.update(UploadJson(*report, SecondsSince(start)));
+    result.update(UploadJson(*report, Step(map), SecondsSince(start)));
     files.push_back(std::move(result));
+    if (!common.json) {
+      std::printf("%s", UploadText(file, *report, Step(map)).c_str());
+    }
   }
   Json result = {{"map", command.map}, {"files", std::move(files)}};
-  if (command.process) {
-    MAPSIEVE_ASSIGN_OR_RETURN(result["process"],
-                              Process(client, command.map, std::nullopt));
-  }
-  PrintResult(common.json, result);
-  return absl::OkStatus();
+  return ProcessAndPrint(common, client, command, std::move(result));
 }
 
 /// Writes a whole answer and returns how many points it has; chunks that it
@@ -312,7 +311,8 @@ absl::Status RunQuery(const CommonOptions& common,
       const std::unique_ptr<PointWriter> writer,
       CreatePointFile(command.output, {.attributes = stream->header().columns,
                                        .coordinate_step = Step(map),
-                                       .crs_wkt = map.crs_wkt}));
+                                       .crs_wkt = map.crs_wkt,
+                                       .frame_id = map.frame_id}));
   MAPSIEVE_ASSIGN_OR_RETURN(const int64_t count,
                             WriteAnswer("query " + map.id, *stream, *writer));
   const QuerySummary& summary = stream->summary();
@@ -389,16 +389,19 @@ absl::Status RunReplaceRegion(const CommonOptions& common,
     report = client.Upload(upload.map, blocks, Show(bar), command.region);
   }
   MAPSIEVE_RETURN_IF_ERROR(report.status());
+  for (const std::string& what : blocks.differences()) {
+    report->warnings.push_back(
+        {"files_differ", absl::StrCat("the files differ in their ", what,
+                                      ", which the map was not told")});
+  }
   Json result = {{"map", upload.map},
                  {"removed_point_count",
                   report->already_there ? 0 : report->removed_point_count}};
-  result.update(UploadJson(*report, SecondsSince(start)));
-  if (upload.process) {
-    MAPSIEVE_ASSIGN_OR_RETURN(result["process"],
-                              Process(client, upload.map, std::nullopt));
+  result.update(UploadJson(*report, Step(map), SecondsSince(start)));
+  if (!common.json) {
+    std::printf("%s", UploadText(upload.map, *report, Step(map)).c_str());
   }
-  PrintResult(common.json, result);
-  return absl::OkStatus();
+  return ProcessAndPrint(common, client, upload, std::move(result));
 }
 
 absl::Status RunRollback(const CommonOptions& common,
@@ -566,6 +569,8 @@ absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
   PrintResult(common.json,
               {{"map", map.id},
                {"uid", map.uid},
+               {"crs", map.crs_wkt},
+               {"frame_id", map.frame_id},
                {"step", Step(map)},
                {"tile_edge", std::ldexp(Step(map), map.tile_level)},
                {"revision", stats.revision},

@@ -23,10 +23,11 @@ namespace {
 /// What the points of a window depend on besides its revision.
 std::string SourceOf(const SyncCommand& command, const MapInfo& map) {
   const core::Point3& o = command.origin;
-  return Json{{"map_uid", map.uid},
-              {"depth", command.query.depth},
-              {"origin", {o.x, o.y, o.z}}}
-      .dump();
+  Json source = {{"map_uid", map.uid},
+                 {"depth", command.query.depth},
+                 {"origin", {o.x, o.y, o.z}}};
+  if (!map.frame_id.empty()) source["frame_id"] = map.frame_id;
+  return source.dump();
 }
 
 /// kInvalidArgument: as float32, which the files have, positions around
@@ -45,7 +46,7 @@ absl::Status CheckRounding(const core::Point3& corner) {
 
 /// Writes the points of a chunk; nothing for none.
 absl::StatusOr<HeldChunk> WriteChunk(const std::filesystem::path& folder,
-                                     const SyncChunk& chunk,
+                                     const SyncChunk& chunk, const MapInfo& map,
                                      const core::Point3& origin) {
   const core::Point3 corner =
       chunk.points.lattice.Position(chunk.tile.corner());
@@ -63,8 +64,13 @@ absl::StatusOr<HeldChunk> WriteChunk(const std::filesystem::path& folder,
   for (core::Point3& p : points.positions) {
     p = {p.x - origin.x, p.y - origin.y, p.z - origin.z};
   }
-  MAPSIEVE_RETURN_IF_ERROR(
-      WritePointFile(folder / held.file, points, {.float_positions = true}));
+  WriteOptions options = {.float_positions = true};
+  // Around another origin the points are in no frame that has a name.
+  if (origin == core::Point3()) {
+    options.crs_wkt = map.crs_wkt;
+    options.frame_id = map.frame_id;
+  }
+  MAPSIEVE_RETURN_IF_ERROR(WritePointFile(folder / held.file, points, options));
   return held;
 }
 
@@ -96,7 +102,7 @@ absl::Status RunSync(const CommonOptions& common, const SyncCommand& command) {
         MAPSIEVE_ASSIGN_OR_RETURN(path, folder->BeginWindow());
       }
       MAPSIEVE_ASSIGN_OR_RETURN(HeldChunk written,
-                                WriteChunk(*path, chunk, command.origin));
+                                WriteChunk(*path, chunk, map, command.origin));
       received_points += written.point_count;
       next.chunks.push_back(std::move(written));
       bar.Report(received_points, 0);

@@ -24,8 +24,9 @@ namespace mapsieve::client {
 ///   All are such bytes where the description is longer than the record;
 /// * the name of a standard field becomes extra_NAME.
 /// The CRS is the WKT record, else "EPSG:n" of the GeoTIFF keys, else the WKT
-/// that libLAS left. Variable length records beyond the damaged or impossible
-/// end of their area are passed over, for the points do not depend on them.
+/// that libLAS left; the unit that of the WKT, else of the keys. Variable
+/// length records beyond the damaged or impossible end of their area are passed
+/// over, for the points do not depend on them.
 ///
 /// kUnimplemented: compressed points (LAZ), another version or point format;
 /// kDataLoss: a damaged header, or a file too short for the points declared.

@@ -17,6 +17,7 @@
 #include "client/formats/text_numbers.h"
 #include "core/base/bytes.h"
 #include "core/base/status.h"
+#include "core/geometry/crs.h"
 
 namespace mapsieve::client {
 namespace {
@@ -60,10 +61,17 @@ struct Source {
   }
 };
 
+// What a directory of GeoTIFF keys tells.
+struct GeoKeys {
+  // 0: none.
+  int epsg = 0;
+  std::string unit;
+};
+
 struct Metadata {
   std::string wkt;
   std::string liblas_wkt;
-  int epsg = 0;
+  GeoKeys keys;
   std::vector<std::byte> extra_bytes;
 };
 
@@ -180,11 +188,32 @@ absl::StatusOr<Header> ReadHeader(const InputFile& file) {
   return header;
 }
 
-// The EPSG code of the keys of a GeoTIFF directory; 0 if they give none.
-int EpsgOfGeoKeys(std::span<const std::byte> bytes) {
+// The name of a unit of length by its EPSG code; empty if it is none.
+std::string NameOfLengthUnit(int code) {
+  switch (code) {
+    case 9001:
+      return std::string(core::kMetre);
+    case 9002:
+      return std::string(core::kFoot);
+    case 9003:
+      return std::string(core::kUsSurveyFoot);
+    default:
+      // Codes of units of length; files have others there by mistake.
+      return code > 9003 && code < 9100 ? absl::StrCat("EPSG unit ", code) : "";
+  }
+}
+
+GeoKeys ReadGeoKeys(std::span<const std::byte> bytes) {
+  constexpr int kModel = 1024;
+  constexpr int kProjectedModel = 1;
+  constexpr int kGeographicModel = 2;
   constexpr int kGeographic = 2048;
   constexpr int kProjected = 3072;
+  constexpr int kLengthUnit = 3076;
+  int model = 0;
+  int projected = 0;
   int geographic = 0;
+  int length_unit = 0;
   // The first entry is the directory's own head.
   for (size_t at = 8; at + 8 <= bytes.size(); at += 8) {
     const int key = At<uint16_t>(bytes, at);
@@ -192,10 +221,17 @@ int EpsgOfGeoKeys(std::span<const std::byte> bytes) {
     const int value = At<uint16_t>(bytes, at + 6);
     // 0 is undefined and 32767 user-defined.
     if (location != 0 || value == 0 || value == 32767) continue;
-    if (key == kProjected) return value;
+    if (key == kModel) model = value;
+    if (key == kProjected && projected == 0) projected = value;
     if (key == kGeographic) geographic = value;
+    if (key == kLengthUnit) length_unit = value;
   }
-  return geographic;
+  // A projection of the file's own has the geographic system as its base.
+  const bool is_projected = projected != 0 || model == kProjectedModel;
+  GeoKeys keys = {.epsg = is_projected ? projected : geographic,
+                  .unit = NameOfLengthUnit(length_unit)};
+  if (model == kGeographicModel) keys.unit = core::kDegree;
+  return keys;
 }
 
 void TakeRecord(std::string_view user, int id,
@@ -203,7 +239,7 @@ void TakeRecord(std::string_view user, int id,
   if (user == "LASF_Projection" && id == 2112) {
     metadata.wkt = CleanText(TextAt(payload, 0, payload.size()), ' ');
   } else if (user == "LASF_Projection" && id == 34735) {
-    metadata.epsg = EpsgOfGeoKeys(payload);
+    metadata.keys = ReadGeoKeys(payload);
   } else if (user == "liblas" && id == 2112) {
     metadata.liblas_wkt = CleanText(TextAt(payload, 0, payload.size()), ' ');
   } else if (user == "LASF_Spec" && id == 4) {
@@ -494,11 +530,13 @@ absl::StatusOr<std::unique_ptr<PointReader>> OpenLasFile(
   MAPSIEVE_RETURN_IF_ERROR(CheckAttributes(file->name(), info.attributes));
   if (!metadata.wkt.empty()) {
     info.crs_wkt = metadata.wkt;
-  } else if (metadata.epsg != 0) {
-    info.crs_wkt = absl::StrCat("EPSG:", metadata.epsg);
+  } else if (metadata.keys.epsg != 0) {
+    info.crs_wkt = absl::StrCat("EPSG:", metadata.keys.epsg);
   } else {
     info.crs_wkt = metadata.liblas_wkt;
   }
+  info.unit = core::UnitOfCrs(info.crs_wkt);
+  if (info.unit.empty()) info.unit = metadata.keys.unit;
   info.coordinate_step =
       std::min({std::abs(header.scale[0]), std::abs(header.scale[1]),
                 std::abs(header.scale[2])});

@@ -16,6 +16,7 @@
 #include "client/formats/text_numbers.h"
 #include "core/base/bytes.h"
 #include "core/base/status.h"
+#include "core/geometry/crs.h"
 
 namespace mapsieve::client {
 namespace {
@@ -75,18 +76,6 @@ int ChoosePointFormat(const std::vector<core::ColumnSpec>& attributes) {
     }
   }
   return format;
-}
-
-// The number of "EPSG:number"; 0 if `crs` is another text.
-uint16_t EpsgCode(const std::string& crs) {
-  const std::string_view text(crs);
-  constexpr std::string_view kPrefix = "EPSG:";
-  uint16_t code = 0;
-  if (!text.starts_with(kPrefix) ||
-      !ParseNumber(text.substr(kPrefix.size()), code) || code >= 32767) {
-    return 0;
-  }
-  return code;
 }
 
 void PutText(ByteWriter& out, std::string_view text, size_t size) {
@@ -339,7 +328,8 @@ class LasWriter : public PointWriter {
       }
       ++record_count;
     }
-    const uint16_t epsg = EpsgCode(options_.crs_wkt);
+    const auto epsg =
+        static_cast<uint16_t>(core::ParseEpsgName(options_.crs_wkt));
     const bool has_wkt = epsg == 0 && !options_.crs_wkt.empty();
     if (epsg != 0) {
       // Codes of geographic systems are 4000 to 4999.

@@ -13,6 +13,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/formats/batch_columns.h"
 #include "client/formats/file_input.h"
+#include "client/formats/header_comments.h"
 #include "client/formats/point_records.h"
 #include "client/formats/text_numbers.h"
 #include "core/base/bytes.h"
@@ -50,6 +51,8 @@ struct PcdHeader {
   std::string data;
   // `points`, checked against the others.
   int64_t count = 0;
+  // What comments tell, and the format once the header is complete.
+  PointFileInfo info;
 };
 
 absl::Status Refuse(const InputCursor& cursor, std::string_view what) {
@@ -122,7 +125,11 @@ absl::StatusOr<bool> TakeHeaderLine(const InputCursor& cursor,
                                     std::string_view line, PcdHeader& header) {
   std::string_view rest = line;
   const std::string_view key = TakeWord(rest);
-  if (key.empty() || key.front() == '#' || key == "VIEWPOINT") return false;
+  if (key.empty() || key == "VIEWPOINT") return false;
+  if (key.front() == '#') {
+    TakeHeaderComment(TrimBlanks(line).substr(1), header.info);
+    return false;
+  }
   if (key == "FIELDS" || key == "COLUMNS") {
     TakeFields(rest, header);
     return false;
@@ -148,6 +155,7 @@ absl::StatusOr<bool> TakeHeaderLine(const InputCursor& cursor,
                        Quoted(word)));
     }
     header.data = std::string(word);
+    header.info.format = absl::StrCat("PCD ", header.data);
     return true;
   } else {
     return cursor.DamagedLine(absl::StrCat(
@@ -301,9 +309,10 @@ absl::Status CheckPosition(const InputCursor& cursor, const PcdHeader& header) {
 // Data of columns, all in one block of LZF.
 class CompressedReader final : public RecordReader {
  public:
-  CompressedReader(PointLayout layout, int64_t count, InputCursor cursor,
-                   uint32_t compressed_bytes, uint32_t raw_bytes)
-      : RecordReader("PCD binary_compressed", std::move(layout), count),
+  CompressedReader(PointFileInfo info, PointLayout layout, int64_t count,
+                   InputCursor cursor, uint32_t compressed_bytes,
+                   uint32_t raw_bytes)
+      : RecordReader(std::move(info), std::move(layout), count),
         cursor_(std::move(cursor)),
         compressed_bytes_(compressed_bytes),
         raw_bytes_(raw_bytes) {}
@@ -378,9 +387,9 @@ absl::StatusOr<std::unique_ptr<PointReader>> OpenCompressed(
   MAPSIEVE_ASSIGN_OR_RETURN(
       PointLayout layout,
       MakeLayout(cursor, header, Order::kColumns, record_bytes, skip_padding));
-  return std::make_unique<CompressedReader>(std::move(layout), header.count,
-                                            std::move(cursor), compressed_bytes,
-                                            raw_bytes);
+  return std::make_unique<CompressedReader>(header.info, std::move(layout),
+                                            header.count, std::move(cursor),
+                                            compressed_bytes, raw_bytes);
 }
 
 char TypeLetter(ScalarType type) {
@@ -391,7 +400,7 @@ char TypeLetter(ScalarType type) {
   });
 }
 
-std::string MakeHeader(ScalarType position,
+std::string MakeHeader(ScalarType position, const std::string& comments,
                        const std::vector<WrittenValue>& values, int64_t count) {
   std::string fields = "FIELDS x y z";
   std::string sizes =
@@ -406,8 +415,8 @@ std::string MakeHeader(ScalarType position,
   }
   const std::string padding = CountPadding(count);
   return absl::StrCat("# .PCD v0.7 - Point Cloud Data file format", padding,
-                      padding, "\nVERSION 0.7\n", fields, "\n", sizes, "\n",
-                      types, "\n", counts, "\nWIDTH ", count,
+                      padding, "\n", comments, "VERSION 0.7\n", fields, "\n",
+                      sizes, "\n", types, "\n", counts, "\nWIDTH ", count,
                       "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS ", count,
                       "\nDATA binary\n");
 }
@@ -440,13 +449,12 @@ absl::StatusOr<std::unique_ptr<PointReader>> OpenPcdFile(
       PointLayout layout,
       MakeLayout(cursor, header, ascii ? Order::kWords : Order::kRecords, bytes,
                  /*skip_padding=*/false));
-  const std::string format = absl::StrCat("PCD ", header.data);
   if (ascii) {
     TextRecord record{.is_list = std::vector<bool>(words), .commas = true};
-    return MakeTextReader(format, std::move(layout), header.count,
+    return MakeTextReader(header.info, std::move(layout), header.count,
                           std::move(cursor), std::move(record));
   }
-  return MakeBinaryReader(format, std::move(layout), header.count,
+  return MakeBinaryReader(header.info, std::move(layout), header.count,
                           std::move(cursor), bytes, /*swap=*/false);
 }
 
@@ -463,8 +471,9 @@ absl::StatusOr<std::unique_ptr<PointWriter>> CreatePcdFile(
     }
   }
   const ScalarType position = TypeOfPositions(options);
+  const std::string comments = MakeHeaderComments("# ", options);
   return MakeRecordWriter(path, position, values, [=](int64_t count) {
-    return MakeHeader(position, values, count);
+    return MakeHeader(position, comments, values, count);
   });
 }
 

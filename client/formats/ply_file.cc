@@ -13,6 +13,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/formats/batch_columns.h"
 #include "client/formats/file_input.h"
+#include "client/formats/header_comments.h"
 #include "client/formats/point_records.h"
 #include "client/formats/record_columns.h"
 #include "client/formats/text_numbers.h"
@@ -72,7 +73,8 @@ struct PlyElement {
 enum class Encoding { kAscii, kLittleEndian, kBigEndian };
 
 struct PlyHeader {
-  std::string format;
+  // The format, and what comments tell.
+  PointFileInfo info;
   std::optional<Encoding> encoding;
   std::vector<PlyElement> elements;
   bool complete = false;
@@ -122,7 +124,7 @@ absl::Status TakeFormat(const InputCursor& cursor, std::string_view rest,
     return Refuse(cursor, absl::StrCat("PLY version ", Quoted(version),
                                        "; only 1.0 exists"));
   }
-  header.format = absl::StrCat("PLY ", ToAbsl(encoding));
+  header.info.format = absl::StrCat("PLY ", ToAbsl(encoding));
   return absl::OkStatus();
 }
 
@@ -181,6 +183,7 @@ absl::Status TakeHeaderLine(const InputCursor& cursor, std::string_view line,
                             PlyHeader& header) {
   std::string_view rest = line;
   const std::string_view key = TakeWord(rest);
+  if (key == "comment") TakeHeaderComment(rest, header.info);
   if (key.empty() || key == "comment" || key == "obj_info") {
     return absl::OkStatus();
   }
@@ -305,9 +308,9 @@ absl::Status SkipElement(InputCursor& cursor, const PlyElement& element,
 // Reads binary vertices that have lists.
 class ListReader final : public RecordReader {
  public:
-  ListReader(std::string format, PointLayout layout, PlyElement vertex,
+  ListReader(PointFileInfo info, PointLayout layout, PlyElement vertex,
              InputCursor cursor, bool swap)
-      : RecordReader(std::move(format), std::move(layout), vertex.count),
+      : RecordReader(std::move(info), std::move(layout), vertex.count),
         vertex_(std::move(vertex)),
         cursor_(std::move(cursor)),
         swap_(swap),
@@ -357,16 +360,16 @@ absl::StatusOr<std::unique_ptr<PointReader>> OpenVertices(
     for (const PlyProperty& property : vertex.properties) {
       record.is_list.push_back(property.length_type.has_value());
     }
-    return MakeTextReader(header.format, std::move(layout), vertex.count,
+    return MakeTextReader(header.info, std::move(layout), vertex.count,
                           std::move(cursor), std::move(record));
   }
   const size_t scalar_bytes = vertex.scalar_bytes();
   if (!vertex.has_lists()) {
-    return MakeBinaryReader(header.format, std::move(layout), vertex.count,
+    return MakeBinaryReader(header.info, std::move(layout), vertex.count,
                             std::move(cursor), scalar_bytes, swap);
   }
   MAPSIEVE_RETURN_IF_ERROR(CheckPointsFit(cursor, vertex.count, scalar_bytes));
-  return std::make_unique<ListReader>(header.format, std::move(layout), vertex,
+  return std::make_unique<ListReader>(header.info, std::move(layout), vertex,
                                       std::move(cursor), swap);
 }
 
@@ -377,11 +380,11 @@ std::string_view NameOfType(ScalarType type) {
   return {};
 }
 
-std::string MakeHeader(ScalarType position,
+std::string MakeHeader(ScalarType position, const std::string& comments,
                        const std::vector<WrittenValue>& values, int64_t count) {
   std::string header = absl::StrCat(
       "ply\nformat binary_little_endian 1.0\ncomment written by mapsieve",
-      CountPadding(count), "\nelement vertex ", count, "\n");
+      CountPadding(count), "\n", comments, "element vertex ", count, "\n");
   for (const char axis : {'x', 'y', 'z'}) {
     absl::StrAppend(&header, "property ", ToAbsl(NameOfType(position)), " ",
                     std::string(1, axis), "\n");
@@ -402,8 +405,7 @@ absl::StatusOr<std::unique_ptr<PointReader>> OpenPlyFile(
   MAPSIEVE_ASSIGN_OR_RETURN(const PlyHeader header, ReadHeader(cursor));
   const auto vertex = FindVertex(header);
   if (vertex == header.elements.end()) {
-    return MakeTextReader(header.format, PointLayout(), 0, std::move(cursor),
-                          {});
+    return MakeTextReader(header.info, PointLayout(), 0, std::move(cursor), {});
   }
   for (auto element = header.elements.begin(); element != vertex; ++element) {
     MAPSIEVE_RETURN_IF_ERROR(SkipElement(cursor, *element, *header.encoding));
@@ -419,8 +421,9 @@ absl::StatusOr<std::unique_ptr<PointWriter>> CreatePlyFile(
     if (NameOfType(value.type).empty()) value.type = ScalarType::kFloat64;
   }
   const ScalarType position = TypeOfPositions(options);
+  const std::string comments = MakeHeaderComments("comment ", options);
   return MakeRecordWriter(path, position, values, [=](int64_t count) {
-    return MakeHeader(position, values, count);
+    return MakeHeader(position, comments, values, count);
   });
 }
 

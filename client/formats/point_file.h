@@ -28,6 +28,11 @@ struct PointFileInfo {
   /// Coordinate reference system as WKT, or "EPSG:n" where the file gives only
   /// a code; empty if it names none.
   std::string crs_wkt;
+  /// What robots call the frame of the points; PLY and PCD may name it.
+  std::string frame_id;
+  /// Of the horizontal coordinates where the file tells it: a name of
+  /// core/geometry/crs.h or another one; else empty.
+  std::string unit;
   /// Smallest coordinate step that the file can hold (LAS scale), in map
   /// units; 0 if it holds floating point.
   double coordinate_step = 0;
@@ -83,8 +88,10 @@ struct WriteOptions {
   /// A point near the data, for the offset of LAS; (0, 0, 0): it is taken from
   /// the first batch. No format shifts the points by it.
   core::Point3 origin;
-  /// As in PointFileInfo; kept by LAS alone.
+  /// As in PointFileInfo. LAS keeps any CRS, and no frame; PLY and PCD keep the
+  /// frame, and a CRS of at most 900 bytes, in comments.
   std::string crs_wkt;
+  std::string frame_id;
   /// PCD and PLY: coordinates as float32, which many readers insist on. At a
   /// kilometre from zero that is 0.06 mm, at a thousand kilometres 6 cm.
   bool float_positions = false;

@@ -51,9 +51,9 @@ std::string NameList(const std::vector<PointValue>& values) {
 
 class TextReader final : public RecordReader {
  public:
-  TextReader(std::string format, PointLayout layout, int64_t count,
+  TextReader(PointFileInfo info, PointLayout layout, int64_t count,
              InputCursor cursor, TextRecord record)
-      : RecordReader(std::move(format), std::move(layout), count),
+      : RecordReader(std::move(info), std::move(layout), count),
         cursor_(std::move(cursor)),
         record_(std::move(record)),
         has_lists_(std::find(record_.is_list.begin(), record_.is_list.end(),
@@ -153,9 +153,9 @@ class TextReader final : public RecordReader {
 
 class BinaryReader final : public RecordReader {
  public:
-  BinaryReader(std::string format, PointLayout layout, int64_t count,
+  BinaryReader(PointFileInfo info, PointLayout layout, int64_t count,
                InputCursor cursor, size_t record_bytes, bool swap)
-      : RecordReader(std::move(format), std::move(layout), count),
+      : RecordReader(std::move(info), std::move(layout), count),
         cursor_(std::move(cursor)),
         record_bytes_(record_bytes),
         swap_(swap) {}
@@ -397,10 +397,11 @@ const PointValue* PointLayout::Parse(std::span<const std::string_view> words,
   return nullptr;
 }
 
-RecordReader::RecordReader(std::string format, PointLayout layout,
+RecordReader::RecordReader(PointFileInfo info, PointLayout layout,
                            int64_t count)
-    : layout_(std::move(layout)), count_(static_cast<size_t>(count)) {
-  info_.format = std::move(format);
+    : info_(std::move(info)),
+      layout_(std::move(layout)),
+      count_(static_cast<size_t>(count)) {
   info_.point_count = count;
   info_.attributes = layout_.attributes();
 }
@@ -424,7 +425,7 @@ absl::Status CheckPointsFit(const InputCursor& cursor, int64_t count,
                    " bytes follow; the file is cut off or its header wrong"));
 }
 
-absl::StatusOr<std::unique_ptr<PointReader>> MakeTextReader(std::string format,
+absl::StatusOr<std::unique_ptr<PointReader>> MakeTextReader(PointFileInfo info,
                                                             PointLayout layout,
                                                             int64_t count,
                                                             InputCursor cursor,
@@ -434,16 +435,15 @@ absl::StatusOr<std::unique_ptr<PointReader>> MakeTextReader(std::string format,
   // A value takes a character, and one more between it and the next.
   MAPSIEVE_RETURN_IF_ERROR(
       CheckPointsFit(cursor, count, std::max<size_t>(2 * scalars, 2) - 1));
-  return std::make_unique<TextReader>(std::move(format), std::move(layout),
-                                      count, std::move(cursor),
-                                      std::move(record));
+  return std::make_unique<TextReader>(std::move(info), std::move(layout), count,
+                                      std::move(cursor), std::move(record));
 }
 
 absl::StatusOr<std::unique_ptr<PointReader>> MakeBinaryReader(
-    std::string format, PointLayout layout, int64_t count, InputCursor cursor,
+    PointFileInfo info, PointLayout layout, int64_t count, InputCursor cursor,
     size_t record_bytes, bool swap) {
   MAPSIEVE_RETURN_IF_ERROR(CheckPointsFit(cursor, count, record_bytes));
-  return std::make_unique<BinaryReader>(std::move(format), std::move(layout),
+  return std::make_unique<BinaryReader>(std::move(info), std::move(layout),
                                         count, std::move(cursor), record_bytes,
                                         swap);
 }

@@ -77,8 +77,8 @@ class RecordReader : public PointReader {
   absl::StatusOr<core::PointCloud> ReadBatch(size_t max_points) final;
 
  protected:
-  /// `format` for PointFileInfo; `count` >= 0.
-  RecordReader(std::string format, PointLayout layout, int64_t count);
+  /// `info` lacks what the others tell; `count` >= 0.
+  RecordReader(PointFileInfo info, PointLayout layout, int64_t count);
 
   const PointLayout& layout() const { return layout_; }
   /// Fills `batch`, which has `count` rows, with the points from `first` on.
@@ -102,18 +102,19 @@ struct TextRecord {
   bool commas = false;
 };
 
-/// `cursor` stands at the first point. kDataLoss if the rest of the file is too
-/// short for `count` points.
-absl::StatusOr<std::unique_ptr<PointReader>> MakeTextReader(std::string format,
+/// `info` as for RecordReader; `cursor` stands at the first point. kDataLoss if
+/// the rest of the file is too short for `count` points.
+absl::StatusOr<std::unique_ptr<PointReader>> MakeTextReader(PointFileInfo info,
                                                             PointLayout layout,
                                                             int64_t count,
                                                             InputCursor cursor,
                                                             TextRecord record);
 
-/// `cursor` stands at the first point; every one has `record_bytes` (> 0),
-/// big-endian if `swap`. kDataLoss if the file is too short.
+/// `info` as for RecordReader; `cursor` stands at the first point; every one
+/// has `record_bytes` (> 0), big-endian if `swap`. kDataLoss if the file is too
+/// short.
 absl::StatusOr<std::unique_ptr<PointReader>> MakeBinaryReader(
-    std::string format, PointLayout layout, int64_t count, InputCursor cursor,
+    PointFileInfo info, PointLayout layout, int64_t count, InputCursor cursor,
     size_t record_bytes, bool swap);
 
 /// kDataLoss if fewer than `count` times `bytes` (> 0) follow.

@@ -33,9 +33,8 @@ absl::Status CheckDecoded(const storage::ReadSnapshot& snapshot,
   return status.ok() ? status : Annotate(status, snapshot.Describe(chunk));
 }
 
-}  // namespace
-
-absl::StatusOr<core::LatticeCloud> ReadPoints(
+/// The points of a chunk in the chunk's order.
+absl::StatusOr<core::LatticeCloud> ReadUnsorted(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options) {
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
@@ -44,11 +43,30 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
       core::DecodePoints(block, options);
   MAPSIEVE_RETURN_IF_ERROR(CheckDecoded(snapshot, chunk, points.status(),
                                         points.ok() ? points->size() : 0));
-  if (std::is_sorted(points->positions.begin(), points->positions.end(),
+  return points;
+}
+
+}  // namespace
+
+absl::StatusOr<core::LatticeCloud> ReadPoints(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
+    const core::DecodeOptions& options) {
+  MAPSIEVE_ASSIGN_OR_RETURN(core::LatticeCloud points,
+                            ReadUnsorted(snapshot, chunk, options));
+  if (std::is_sorted(points.positions.begin(), points.positions.end(),
                      IsBefore)) {
     return points;
   }
-  return points->Select(core::MortonOrder(points->positions));
+  return points.Select(core::MortonOrder(points.positions));
+}
+
+absl::StatusOr<std::vector<core::LatticePoint>> ReadPositions(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      core::LatticeCloud points,
+      ReadUnsorted(snapshot, chunk,
+                   {.attributes = std::vector<std::string>()}));
+  return std::move(points.positions);
 }
 
 absl::StatusOr<core::ColumnSet> ReadColumns(

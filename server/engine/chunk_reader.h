@@ -19,6 +19,11 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options = {});
 
+/// The positions of a chunk's points in the chunk's order, without decoding
+/// anything else. Errors of ReadPoints.
+absl::StatusOr<std::vector<core::LatticePoint>> ReadPositions(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk);
+
 /// The attributes `names` of a chunk's points, in the chunk's order and without
 /// decoding anything else: one or more, which it has. Errors of ReadPoints.
 absl::StatusOr<core::ColumnSet> ReadColumns(

@@ -61,10 +61,13 @@ absl::StatusOr<UploadInfo> ToInfo(const storage::UploadRecord& record) {
       break;
   }
   if (!record.report.empty()) {
-    MAPSIEVE_ASSIGN_OR_RETURN(const UploadReport report,
-                              ParseUploadReport(record.report));
-    info.spec.refused = report.refused;
-    if (info.state == UploadState::kFinalized) info.report = report;
+    MAPSIEVE_ASSIGN_OR_RETURN(UploadNotes notes,
+                              ParseUploadNotes(record.report));
+    info.spec.refused = notes.report.refused;
+    info.spec.source = std::move(notes.source);
+    if (info.state == UploadState::kFinalized) {
+      info.report = std::move(notes.report);
+    }
   }
   return info;
 }
@@ -141,13 +144,16 @@ class LocalEngine final : public Engine {
         CheckLength("display_name", spec.display_name, kMaxDisplayNameBytes));
     MAPSIEVE_RETURN_IF_ERROR(
         CheckLength("crs_wkt", spec.crs_wkt, kMaxCrsWktBytes));
+    MAPSIEVE_RETURN_IF_ERROR(
+        CheckName("frame_id", spec.frame_id, kMaxFrameIdBytes));
     MAPSIEVE_ASSIGN_OR_RETURN(
         const storage::MapRecord record,
         catalogue().CreateMap({.id = spec.map_id,
                                .display_name = spec.display_name,
                                .step_nm = spec.step_nm,
                                .tile_level = tile_level,
-                               .crs_wkt = spec.crs_wkt}));
+                               .crs_wkt = spec.crs_wkt,
+                               .frame_id = spec.frame_id}));
     return DescribeMap(record);
   }
 
@@ -310,7 +316,7 @@ class LocalEngine final : public Engine {
 
   absl::StatusOr<UploadInfo> CreateUpload(const std::string& map_id,
                                           const UploadSpec& spec) override {
-    MAPSIEVE_RETURN_IF_ERROR(CheckUpload(spec));
+    MAPSIEVE_RETURN_IF_ERROR(CheckUploadSpec(spec));
     MAPSIEVE_RETURN_IF_ERROR(CheckSpace());
     MutexLock lock(admin_mutex_);
     MAPSIEVE_ASSIGN_OR_RETURN(const storage::MapRecord map,
@@ -323,9 +329,11 @@ class LocalEngine final : public Engine {
                                   .content_hash = spec.content_hash}));
     if (record.report.empty()) {
       MAPSIEVE_ASSIGN_OR_RETURN(
-          record, catalogue().SetUploadState(
-                      record.uid, record.state, record.state,
-                      FormatUploadReport({.refused = spec.refused})));
+          record,
+          catalogue().SetUploadState(
+              record.uid, record.state, record.state,
+              FormatUploadNotes({.source = spec.source,
+                                 .report = {.refused = spec.refused}})));
     }
     return ToInfo(record);
   }
@@ -402,9 +410,9 @@ class LocalEngine final : public Engine {
                           .upload_uid = upload.uid,
                           .region = region};
     if (upload.state == storage::UploadState::kFinalized) {
-      MAPSIEVE_ASSIGN_OR_RETURN(const UploadReport report,
-                                ParseUploadReport(upload.report));
-      return jobs_->RecordSuccess(map_id, spec, report);
+      MAPSIEVE_ASSIGN_OR_RETURN(const UploadNotes notes,
+                                ParseUploadNotes(upload.report));
+      return jobs_->RecordSuccess(map_id, spec, notes.report);
     }
     MAPSIEVE_RETURN_IF_ERROR(CheckComplete(upload));
     return jobs_->Start(map_id, spec, /*is_unique=*/false);
@@ -515,6 +523,7 @@ class LocalEngine final : public Engine {
                    .step_nm = record.spec.step_nm,
                    .tile_level = record.spec.tile_level,
                    .crs_wkt = record.spec.crs_wkt,
+                   .frame_id = record.spec.frame_id,
                    .revision = record.newest_revision,
                    .processed_revision = revision.processed_revision,
                    .create_time = record.create_time,
@@ -550,24 +559,6 @@ class LocalEngine final : public Engine {
   static absl::Status CheckRegion(const RegionShape& region,
                                   const storage::MapRecord& map) {
     return Region::OfEdit(region, core::Lattice(map.spec.step_nm)).status();
-  }
-
-  static absl::Status CheckUpload(const UploadSpec& spec) {
-    MAPSIEVE_RETURN_IF_ERROR(storage::CheckResourceId(spec.upload_id));
-    if (!storage::IsHexId(spec.content_hash)) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("content_hash is ", storage::Quoted(spec.content_hash),
-                       "; it must be 32 lower-case hexadecimal digits"));
-    }
-    for (const auto& [field, value] :
-         {std::pair{"expected_bytes", spec.expected_bytes},
-          {"refused.non_finite", spec.refused.non_finite},
-          {"refused.out_of_lattice", spec.refused.out_of_lattice}}) {
-      if (value >= 0) continue;
-      return absl::InvalidArgumentError(
-          absl::StrCat(field, " is ", value, "; it must be 0 or above"));
-    }
-    return absl::OkStatus();
   }
 
   absl::StatusOr<storage::UploadRecord> FindUpload(

@@ -21,6 +21,8 @@
 #include "server/engine/chunk_writer.h"
 #include "server/engine/edit_map.h"
 #include "server/engine/opaque_records.h"
+#include "server/engine/point_census.h"
+#include "server/engine/upload_warnings.h"
 
 namespace mapsieve::engine {
 namespace {
@@ -339,31 +341,25 @@ class Ingest {
   int64_t block_count_ = 0;
 };
 
-/// Takes the points of `shape` out of the newest revision of the map. `rest`
-/// keeps what is stored safe until the commit. kAborted: that revision expired,
-/// so a newer one is there.
-absl::StatusOr<RegionCut> CutFrom(storage::Store& store,
-                                  const storage::MapRecord& map,
-                                  const RegionShape& shape,
-                                  const IngestLimits& limits,
-                                  const ExecutionContext& context,
-                                  ChunkWriter& rest) {
-  const auto opened = store.OpenSnapshot(map.spec.id, map.newest_revision);
+/// The newest revision of `map`. kAborted: it expired, so a newer one is there.
+absl::StatusOr<std::shared_ptr<const storage::ReadSnapshot>> OpenNewest(
+    storage::Store& store, const storage::MapRecord& map) {
+  auto opened = store.OpenSnapshot(map.spec.id, map.newest_revision);
   if (absl::IsOutOfRange(opened.status())) {
     return absl::AbortedError(opened.status().message());
   }
-  MAPSIEVE_ASSIGN_OR_RETURN(const auto snapshot, opened);
-  if (snapshot->map().uid != map.uid) {
+  MAPSIEVE_RETURN_IF_ERROR(opened.status());
+  if ((*opened)->map().uid != map.uid) {
     return absl::NotFoundError(
         absl::StrCat("map ", map.spec.id, " was deleted meanwhile"));
   }
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const Region region,
-      Region::OfEdit(shape, core::Lattice(map.spec.step_nm)));
-  // The bytes of the upload are the progress.
-  ExecutionContext silent = context;
-  silent.progress = nullptr;
-  return CutRegion(*snapshot, region, limits, silent, rest);
+  return opened;
+}
+
+/// The notes of an upload; those of none where a crash came before them.
+absl::StatusOr<UploadNotes> NotesOf(const storage::UploadRecord& upload) {
+  if (upload.report.empty()) return UploadNotes();
+  return ParseUploadNotes(upload.report);
 }
 
 absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
@@ -385,11 +381,11 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const auto reader,
                             store.uploads().OpenReader(upload.uid));
-  // What the client said at creation; nothing if a crash came in between.
-  UploadReport notes;
-  if (!upload.report.empty()) {
-    MAPSIEVE_ASSIGN_OR_RETURN(notes, ParseUploadReport(upload.report));
-  }
+  MAPSIEVE_ASSIGN_OR_RETURN(UploadNotes notes, NotesOf(upload));
+  const core::RefusedCounts refused = notes.report.refused;
+  // The bytes of the upload are the progress.
+  ExecutionContext silent = context;
+  silent.progress = nullptr;
   Ingest ingest(store, map, upload, limits, context);
   MAPSIEVE_ASSIGN_OR_RETURN(AttributeSchema schema,
                             AttributeSchema::Of(store.catalogue(), map));
@@ -404,18 +400,29 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
       MAPSIEVE_RETURN_IF_ERROR(newer.Add(schema.columns()));
       schema = std::move(newer);
     }
-    UploadReport report = ingest.Report();
-    report.refused = notes.refused;
+    const auto opened = OpenNewest(store, map);
+    if (absl::IsAborted(opened.status())) continue;
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto base, opened);
+    UploadReport& report = notes.report;
+    report = ingest.Report();
+    report.refused = refused;
     report.revision = map.newest_revision + 1;
     ChunkWriter rest(store, storage::ChunkKind::kRaw, limits.chunk_bytes,
                      *context.executor);
     RegionCut cut;
     if (region.has_value()) {
-      auto result = CutFrom(store, map, *region, limits, context, rest);
-      if (absl::IsAborted(result.status())) continue;
-      MAPSIEVE_ASSIGN_OR_RETURN(cut, std::move(result));
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          const Region place,
+          Region::OfEdit(*region, core::Lattice(map.spec.step_nm)));
+      MAPSIEVE_ASSIGN_OR_RETURN(cut,
+                                CutRegion(*base, place, limits, silent, rest));
     }
     report.removed_point_count = cut.removed_point_count;
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        report.census,
+        TakeCensus(*base, ingest.chunks(), cut, rest.chunks(), limits, silent));
+    const bool had_points = base->revision().totals.raw_point_count > 0;
+    report.warnings = WarningsOf(notes.source, map.spec, had_points);
     storage::RevisionChange change = {
         .spec = {.kind = region.has_value()
                              ? storage::RevisionKind::kReplaceRegion
@@ -427,11 +434,15 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
                       .removed_point_count = cut.removed_point_count,
                       .tile_count = cut.tile_count}),
                  .attributes = schema.columns(),
-                 .refused = notes.refused},
+                 .refused = refused},
         .added = rest.chunks(),
         .removed = std::move(cut.removed_chunks),
         .finalized_upload_uid = upload.uid,
-        .upload_report = FormatUploadReport(report)};
+        .upload_report = FormatUploadNotes(notes)};
+    if (!had_points && report.added_point_count > 0) {
+      if (map.spec.crs_wkt.empty()) change.crs_wkt = notes.source.crs_wkt;
+      if (map.spec.frame_id.empty()) change.frame_id = notes.source.frame_id;
+    }
     change.added.insert(change.added.end(), ingest.chunks().begin(),
                         ingest.chunks().end());
     const auto committed =
@@ -466,8 +477,10 @@ absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
                             catalogue.GetUploadByUid(upload_uid));
   using storage::UploadState;
   switch (upload.state) {
-    case UploadState::kFinalized:
-      return ParseUploadReport(upload.report);
+    case UploadState::kFinalized: {
+      MAPSIEVE_ASSIGN_OR_RETURN(UploadNotes notes, NotesOf(upload));
+      return std::move(notes.report);
+    }
     case UploadState::kFailed:
       return absl::FailedPreconditionError(
           absl::StrCat("upload ", upload.spec.id,

@@ -30,10 +30,11 @@ struct IngestLimits {
 /// Adds the points of a complete upload to its map, named `map_id`, as one new
 /// revision, and marks the upload finalized in the same transaction; then drops
 /// its staged bytes. `region`: the raw points of before that lie there are
-/// taken out in the same revision. Done already: tells the report. After an
-/// error the map is as before and the upload is kFailed, if its bytes can never
-/// become points of this map, else kActive. Errors as Engine::FinalizeUpload
-/// has them for the operation.
+/// taken out in the same revision. A map without points takes the CRS and the
+/// frame id of the upload's source where it has none itself. Done already:
+/// tells the report. After an error the map is as before and the upload is
+/// kFailed, if its bytes can never become points of this map, else kActive.
+/// Errors as Engine::FinalizeUpload has them for the operation.
 ///
 /// Raw chunks hold all attributes that the block of their points had. Memory:
 /// about `limits`, however large the upload.

@@ -13,10 +13,13 @@ namespace {
 /// Options of version 1 belong to products whose directions have 16 bits a
 /// side: they never equal present ones, so that such a product is made anew and
 /// not brought up to date. Of records of operations, 2 has what concerns
-/// repairs. All others are 1.
+/// repairs. Notes of version 2 and outcomes of version 3 have all of an
+/// upload's report, and the notes its source. All others are 1.
 constexpr uint8_t kVersion = 1;
 constexpr uint8_t kOptionsVersion = 2;
-constexpr uint8_t kJobVersion = 2;
+constexpr uint8_t kNotesVersion = 2;
+constexpr uint8_t kSpecVersion = 2;
+constexpr uint8_t kOutcomeVersion = 3;
 
 // Each record has one function Visit, which names its fields in their order:
 // the writer and the reader below walk through the same list.
@@ -33,6 +36,15 @@ class Writer {
   }
   void Field(const char* /*name*/, const std::string& value) {
     writer_.PutShortText(value);
+  }
+  void LongText(const char* /*name*/, const std::string& value) {
+    writer_.Put(static_cast<uint32_t>(value.size()));
+    writer_.PutBytes(TextBytes(value));
+  }
+  /// How many elements `list` has, which follow.
+  template <typename T>
+  void Size(const char* /*name*/, const std::vector<T>& list) {
+    writer_.Put(static_cast<uint16_t>(list.size()));
   }
   /// Whether the optional fields that follow are there.
   bool Presence(const char* /*name*/, bool present) {
@@ -69,6 +81,23 @@ class Reader {
   }
   void Field(const char* name, std::string& value) {
     Store(reader_.TakeShortText(name), value);
+  }
+  void LongText(const char* name, std::string& value) {
+    uint32_t size = 0;
+    Field(name, size);
+    if (!status_.ok()) return;
+    const auto bytes = reader_.TakeBytes(size, name);
+    if (!bytes.ok()) {
+      status_ = bytes.status();
+      return;
+    }
+    value.assign(reinterpret_cast<const char*>(bytes->data()), bytes->size());
+  }
+  template <typename T>
+  void Size(const char* name, std::vector<T>& list) {
+    uint16_t size = 0;
+    Field(name, size);
+    list.resize(size);
   }
   bool Presence(const char* name, bool /*present*/) {
     uint8_t present = 0;
@@ -168,7 +197,20 @@ void VisitRepairReport(V& v, T& report) {
 }
 
 template <typename V, typename T>
-void VisitUploadReport(V& v, T& report) {
+void VisitCensus(V& v, T& census) {
+  v.Field("duplicate_point_count", census.duplicate_point_count);
+  if (v.Presence("is_compared", census.overlapping_point_count.has_value())) {
+    if constexpr (!std::is_const_v<T>) census.overlapping_point_count.emplace();
+    v.Field("overlapping_point_count", *census.overlapping_point_count);
+  }
+  v.Field("density_cell_level", census.density_cell_level);
+  v.Size("density_histogram", census.density_histogram);
+  VisitCounts(v, "density_histogram", census.density_histogram);
+}
+
+/// `is_whole`: the record has all that a report has.
+template <typename V, typename T>
+void VisitUploadReport(V& v, bool is_whole, T& report) {
   v.Field("revision", report.revision);
   v.Field("added_point_count", report.added_point_count);
   v.Field("refused.non_finite", report.refused.non_finite);
@@ -181,6 +223,27 @@ void VisitUploadReport(V& v, T& report) {
     VisitPoint(v, "bounds.min", report.bounds->min);
     VisitPoint(v, "bounds.max", report.bounds->max);
   }
+  if (!is_whole) return;
+  if (v.Presence("has_census", report.census.has_value())) {
+    if constexpr (!std::is_const_v<T>) report.census.emplace();
+    VisitCensus(v, *report.census);
+  }
+  v.Size("warnings", report.warnings);
+  for (auto& warning : report.warnings) {
+    v.Field("warning.code", warning.code);
+    v.Field("warning.message", warning.message);
+  }
+}
+
+template <typename V, typename T>
+void VisitUploadNotes(V& v, T& notes) {
+  const bool is_whole = v.version() >= 2;
+  VisitUploadReport(v, is_whole, notes.report);
+  if (!is_whole) return;
+  v.LongText("source.crs_wkt", notes.source.crs_wkt);
+  v.Field("source.frame_id", notes.source.frame_id);
+  v.Field("source.unit", notes.source.unit);
+  v.Field("source.coordinate_step", notes.source.coordinate_step);
 }
 
 template <typename V, typename T>
@@ -238,9 +301,10 @@ void VisitOutcome(V& v, T& outcome) {
   if constexpr (!std::is_const_v<T>) {
     outcome.start_time = absl::FromUnixMicros(start_us);
   }
-  VisitResult<UploadReport>(
-      v, "is_upload_report", outcome,
-      [](auto& w, auto& report) { VisitUploadReport(w, report); });
+  VisitResult<UploadReport>(v, "is_upload_report", outcome,
+                            [](auto& w, auto& report) {
+                              VisitUploadReport(w, w.version() >= 3, report);
+                            });
   VisitResult<ProcessReport>(
       v, "is_process_report", outcome,
       [](auto& w, auto& report) { VisitProcessReport(w, report); });
@@ -272,7 +336,7 @@ absl::StatusOr<T> Parse(std::string_view bytes, std::string_view name,
 }
 
 constexpr auto kOptions = [](auto& v, auto& r) { VisitOptions(v, r); };
-constexpr auto kUpload = [](auto& v, auto& r) { VisitUploadReport(v, r); };
+constexpr auto kNotes = [](auto& v, auto& r) { VisitUploadNotes(v, r); };
 constexpr auto kProcess = [](auto& v, auto& r) { VisitProcessReport(v, r); };
 constexpr auto kEdit = [](auto& v, auto& r) { VisitEditRecord(v, r); };
 constexpr auto kSpec = [](auto& v, auto& r) { VisitJobSpec(v, r); };
@@ -288,11 +352,12 @@ absl::StatusOr<core::SpdfOptions> ParseSpdfOptions(std::string_view bytes) {
                                   kOptionsVersion);
 }
 
-std::string FormatUploadReport(const UploadReport& report) {
-  return Format(report, kUpload);
+std::string FormatUploadNotes(const UploadNotes& notes) {
+  return Format(notes, kNotes, kNotesVersion);
 }
-absl::StatusOr<UploadReport> ParseUploadReport(std::string_view bytes) {
-  return Parse<UploadReport>(bytes, "stored report of an upload", kUpload);
+absl::StatusOr<UploadNotes> ParseUploadNotes(std::string_view bytes) {
+  return Parse<UploadNotes>(bytes, "stored notes of an upload", kNotes,
+                            kNotesVersion);
 }
 
 std::string FormatProcessReport(const ProcessReport& report) {
@@ -310,19 +375,19 @@ absl::StatusOr<EditRecord> ParseEditRecord(std::string_view bytes) {
 }
 
 std::string FormatJobSpec(const JobSpec& spec) {
-  return Format(spec, kSpec, kJobVersion);
+  return Format(spec, kSpec, kSpecVersion);
 }
 absl::StatusOr<JobSpec> ParseJobSpec(std::string_view bytes) {
   return Parse<JobSpec>(bytes, "stored request of an operation", kSpec,
-                        kJobVersion);
+                        kSpecVersion);
 }
 
 std::string FormatJobOutcome(const JobOutcome& outcome) {
-  return Format(outcome, kOutcome, kJobVersion);
+  return Format(outcome, kOutcome, kOutcomeVersion);
 }
 absl::StatusOr<JobOutcome> ParseJobOutcome(std::string_view bytes) {
   return Parse<JobOutcome>(bytes, "stored outcome of an operation", kOutcome,
-                           kJobVersion);
+                           kOutcomeVersion);
 }
 
 }  // namespace mapsieve::engine

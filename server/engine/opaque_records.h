@@ -21,8 +21,16 @@ namespace mapsieve::engine {
 std::string FormatSpdfOptions(const core::SpdfOptions& options);
 absl::StatusOr<core::SpdfOptions> ParseSpdfOptions(std::string_view bytes);
 
-std::string FormatUploadReport(const UploadReport& report);
-absl::StatusOr<UploadReport> ParseUploadReport(std::string_view bytes);
+/// What the catalogue keeps of an upload besides the fields of its own.
+struct UploadNotes {
+  UploadSource source;
+  /// Before the upload is finalized, `refused` alone.
+  UploadReport report;
+
+  friend bool operator==(const UploadNotes&, const UploadNotes&) = default;
+};
+std::string FormatUploadNotes(const UploadNotes& notes);
+absl::StatusOr<UploadNotes> ParseUploadNotes(std::string_view bytes);
 
 std::string FormatProcessReport(const ProcessReport& report);
 absl::StatusOr<ProcessReport> ParseProcessReport(std::string_view bytes);

@@ -20,6 +20,12 @@ absl::Status CheckAtLeastOne(const char* field, int value);
 absl::Status CheckLength(const char* field, const std::string& text,
                          size_t limit);
 
+/// At most `limit` bytes and no control characters.
+absl::Status CheckName(const char* field, const std::string& text,
+                       size_t limit);
+
+absl::Status CheckUploadSpec(const UploadSpec& spec);
+
 /// How many records a page holds.
 absl::StatusOr<int64_t> PageSize(const PageRequest& page);
 

@@ -57,6 +57,7 @@ inline constexpr int kMinTileLevel = 4;
 inline constexpr int kDefaultTileLevel = 15;
 inline constexpr size_t kMaxDisplayNameBytes = 128;
 inline constexpr size_t kMaxCrsWktBytes = 64 * 1024;
+inline constexpr size_t kMaxFrameIdBytes = 255;
 
 /// A map to be created.
 struct MapSpec {
@@ -70,8 +71,12 @@ struct MapSpec {
   double tile_edge = 0;
   /// Free text of at most kMaxDisplayNameBytes.
   std::string display_name;
-  /// Coordinate reference system, never interpreted; at most kMaxCrsWktBytes.
+  /// Coordinate reference system, only ever looked into for warnings; at most
+  /// kMaxCrsWktBytes. Empty: that of the first upload that names one.
   std::string crs_wkt;
+  /// What robots call the map's frame: at most kMaxFrameIdBytes and no control
+  /// characters. Empty: as crs_wkt.
+  std::string frame_id;
 };
 
 struct MapInfo {
@@ -82,6 +87,7 @@ struct MapInfo {
   int64_t step_nm = 0;
   int tile_level = 0;
   std::string crs_wkt;
+  std::string frame_id;
   /// The newest revision; 1 is the empty map.
   int64_t revision = 0;
   /// The newest revision whose product is a result of the filter; 0: none.
@@ -211,6 +217,23 @@ inline constexpr size_t kMaxMapAttributes = 1000;
 /// Names that begin so are the engine's own; no attribute may have one.
 inline constexpr std::string_view kReservedAttributePrefix = "spdf.";
 
+inline constexpr size_t kMaxUnitBytes = 64;
+
+/// What is known of the file or sensor that the points of an upload come from.
+struct UploadSource {
+  /// Its CRS; as MapSpec::crs_wkt.
+  std::string crs_wkt;
+  /// Of its points; as MapSpec::frame_id.
+  std::string frame_id;
+  /// Unit of its horizontal coordinates: "metre", "foot", "degree", …; at most
+  /// kMaxUnitBytes, no control characters. Empty: unknown.
+  std::string unit;
+  /// Step of its coordinates in its unit; 0: none or unknown.
+  double coordinate_step = 0;
+
+  friend bool operator==(const UploadSource&, const UploadSource&) = default;
+};
+
 /// An upload to be opened. Its bytes are point blocks of core/codec back to
 /// back.
 struct UploadSpec {
@@ -222,8 +245,40 @@ struct UploadSpec {
   std::string content_hash;
   /// Points that the client left out, kept for the report.
   core::RefusedCounts refused;
+  UploadSource source;
 
   friend bool operator==(const UploadSpec&, const UploadSpec&) = default;
+};
+
+/// How the points of an upload lie among each other and beside those that the
+/// map had before: their sets, not how they were divided into uploads, blocks
+/// and chunks, determine it.
+struct PointCensus {
+  /// Added points beyond the first of their lattice cell, which the filter
+  /// takes for one.
+  int64_t duplicate_point_count = 0;
+  /// Lattice cells with added points that had a point before: by
+  /// added_point_count less these two the distinct points of the map grow.
+  /// Nothing: the map has more than kMaxComparedShare points in these tiles for
+  /// each added one (point_census.h), or damaged chunks among them.
+  std::optional<int64_t> overlapping_point_count;
+  /// Octree level of the cells of the histogram.
+  int density_cell_level = 0;
+  /// Element i: cells that got 2^i to 2^(i+1) - 1 points, duplicates included;
+  /// the last one is above 0.
+  std::vector<int64_t> density_histogram;
+
+  friend bool operator==(const PointCensus&, const PointCensus&) = default;
+};
+
+/// What may be wrong with an upload that was added nevertheless.
+struct UploadWarning {
+  /// A word for programs; upload_warnings.h lists them.
+  std::string code;
+  /// For people.
+  std::string message;
+
+  friend bool operator==(const UploadWarning&, const UploadWarning&) = default;
 };
 
 /// What finalizing an upload did.
@@ -240,6 +295,10 @@ struct UploadReport {
   int64_t tile_count = 0;
   /// Of the added points; nothing if there were none.
   std::optional<Bounds> bounds;
+  /// Nothing: a program that took none added the points.
+  std::optional<PointCensus> census;
+  /// In the order of upload_warnings.h.
+  std::vector<UploadWarning> warnings;
 
   friend bool operator==(const UploadReport&, const UploadReport&) = default;
 };

@@ -325,6 +325,7 @@ engine::MapSpec ToMapSpec(const v1::CreateMapRequest& request) {
       .tile_edge = request.tile_edge(),
       .display_name = request.display_name(),
       .crs_wkt = request.crs_wkt(),
+      .frame_id = request.frame_id(),
   };
 }
 
@@ -338,6 +339,10 @@ absl::StatusOr<engine::UploadSpec> ToUploadSpec(
       .content_hash = upload.content_hash(),
       .refused = {.non_finite = upload.refused_non_finite_count(),
                   .out_of_lattice = upload.refused_out_of_lattice_count()},
+      .source = {.crs_wkt = upload.source().crs_wkt(),
+                 .frame_id = upload.source().frame_id(),
+                 .unit = upload.source().unit(),
+                 .coordinate_step = upload.source().coordinate_step()},
   };
 }
 
@@ -488,6 +493,7 @@ v1::Map ToProto(const engine::MapInfo& map) {
   result.set_processed_revision(map.processed_revision);
   *result.mutable_create_time() = ToTimestamp(map.create_time);
   *result.mutable_update_time() = ToTimestamp(map.update_time);
+  result.set_frame_id(map.frame_id);
   return result;
 }
 
@@ -699,6 +705,25 @@ v1::Upload ToProto(std::string_view map_id, const engine::UploadInfo& upload) {
   result.set_committed_bytes(upload.committed_bytes);
   *result.mutable_create_time() = ToTimestamp(upload.create_time);
   if (upload.report) *result.mutable_report() = ToProto(*upload.report);
+  const engine::UploadSource& source = upload.spec.source;
+  if (source == engine::UploadSource()) return result;
+  result.mutable_source()->set_crs_wkt(source.crs_wkt);
+  result.mutable_source()->set_frame_id(source.frame_id);
+  result.mutable_source()->set_unit(source.unit);
+  result.mutable_source()->set_coordinate_step(source.coordinate_step);
+  return result;
+}
+
+v1::PointCensus ToProto(const engine::PointCensus& census) {
+  v1::PointCensus result;
+  result.set_duplicate_point_count(census.duplicate_point_count);
+  if (census.overlapping_point_count) {
+    result.set_overlapping_point_count(*census.overlapping_point_count);
+  }
+  result.set_density_cell_level(census.density_cell_level);
+  for (const int64_t count : census.density_histogram) {
+    result.add_density_histogram(count);
+  }
   return result;
 }
 
@@ -712,6 +737,12 @@ v1::UploadReport ToProto(const engine::UploadReport& report) {
   result.set_block_count(report.block_count);
   result.set_tile_count(report.tile_count);
   if (report.bounds) *result.mutable_bounds() = ToBox(*report.bounds);
+  if (report.census) *result.mutable_census() = ToProto(*report.census);
+  for (const engine::UploadWarning& warning : report.warnings) {
+    v1::UploadWarning& added = *result.add_warnings();
+    added.set_code(warning.code);
+    added.set_message(warning.message);
+  }
   return result;
 }
 

@@ -123,7 +123,10 @@ grpc::ServerUnaryReactor* UploadService::ListUploads(
     MAPSIEVE_ASSIGN_OR_RETURN(
         auto page, engine_.ListUploads(map_id, ToPageRequest(*request)));
     for (const engine::UploadInfo& upload : page.items) {
-      *response->add_uploads() = ToProto(map_id, upload);
+      v1::Upload& item = *response->add_uploads();
+      item = ToProto(map_id, upload);
+      // A page of them could exceed what a client receives.
+      if (item.has_source()) item.mutable_source()->clear_crs_wkt();
     }
     response->set_next_page_token(std::move(page.next_page_token));
     return absl::OkStatus();

@@ -342,14 +342,16 @@ void Service::Reopen() {
 absl::Status Service::Stage(const std::string& map_id,
                             const std::string& upload_id,
                             std::span<const std::byte> bytes,
-                            const core::RefusedCounts& refused) {
+                            const core::RefusedCounts& refused,
+                            const UploadSource& source) {
   MAPSIEVE_RETURN_IF_ERROR(
       engine_
           ->CreateUpload(map_id,
                          {.upload_id = upload_id,
                           .expected_bytes = static_cast<int64_t>(bytes.size()),
                           .content_hash = ContentHash(bytes),
-                          .refused = refused})
+                          .refused = refused,
+                          .source = source})
           .status());
   MAPSIEVE_ASSIGN_OR_RETURN(const auto writer,
                             engine_->OpenUploadWriter(map_id, upload_id));

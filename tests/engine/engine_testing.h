@@ -161,7 +161,8 @@ class Service {
   /// Opens an upload and writes and commits its bytes.
   absl::Status Stage(const std::string& map_id, const std::string& upload_id,
                      std::span<const std::byte> bytes,
-                     const core::RefusedCounts& refused = {});
+                     const core::RefusedCounts& refused = {},
+                     const UploadSource& source = {});
   /// Stage and finalize, to the end of the operation.
   absl::StatusOr<Operation> Upload(const std::string& map_id,
                                    const std::string& upload_id,

@@ -41,12 +41,14 @@ TEST(Maps, CreateFillsInDefaultsAndRoundsTheTileUp) {
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(
       const MapInfo campus, service->CreateMap({.map_id = "campus",
                                                 .display_name = "Campus, north",
-                                                .crs_wkt = "PROJCRS[]"}));
+                                                .crs_wkt = "PROJCRS[]",
+                                                .frame_id = "map"}));
   EXPECT_EQ(campus.map_id, "campus");
   EXPECT_EQ(campus.step_nm, 1'000'000);
   EXPECT_EQ(campus.tile_level, 15);
   EXPECT_EQ(campus.display_name, "Campus, north");
   EXPECT_EQ(campus.crs_wkt, "PROJCRS[]");
+  EXPECT_EQ(campus.frame_id, "map");
   EXPECT_EQ(campus.revision, 1);
   EXPECT_EQ(campus.processed_revision, 0);
   EXPECT_EQ(campus.uid.size(), 32U);
@@ -93,6 +95,11 @@ TEST(Maps, CreateRefusesWhatIsNoMap) {
   EXPECT_THAT(
       service->CreateMap({.map_id = "a", .crs_wkt = std::string(65537, 'x')}),
       StatusIs(kInvalid, HasSubstr("crs_wkt")));
+  EXPECT_THAT(
+      service->CreateMap({.map_id = "a", .frame_id = std::string(256, 'x')}),
+      StatusIs(kInvalid, HasSubstr("frame_id")));
+  EXPECT_THAT(service->CreateMap({.map_id = "a", .frame_id = "a\nb"}),
+              StatusIs(kInvalid, HasSubstr("no control characters")));
   MAPSIEVE_ASSERT_OK(service->CreateMap({.map_id = "a"}));
   EXPECT_THAT(service->CreateMap({.map_id = "a"}),
               StatusIs(absl::StatusCode::kAlreadyExists, HasSubstr("a")));

@@ -125,15 +125,30 @@ UploadReport MakeUploadReport() {
           .refused = {.non_finite = 1, .out_of_lattice = 2},
           .block_count = 7,
           .tile_count = 8,
-          .bounds = Bounds{{-1, -2, -3}, {4, 5, 6}}};
+          .bounds = Bounds{{-1, -2, -3}, {4, 5, 6}},
+          .census = PointCensus{.duplicate_point_count = 6'000'000'000,
+                                .overlapping_point_count = 11,
+                                .density_cell_level = 10,
+                                .density_histogram = {5, 0, 7}},
+          .warnings = {{"crs_differs", "one"}, {"unit_not_metre", ""}}};
 }
 
 TEST(OpaqueRecords, ComeBackAsTheyWere) {
   ExpectRoundTrip(kOptions, FormatSpdfOptions(kOptions), ParseSpdfOptions);
-  ExpectRoundTrip(MakeUploadReport(), FormatUploadReport(MakeUploadReport()),
-                  ParseUploadReport);
-  const UploadReport nothing;
-  ExpectRoundTrip(nothing, FormatUploadReport(nothing), ParseUploadReport);
+  const UploadNotes notes = {.source = {.crs_wkt = std::string(100, 'w'),
+                                        .frame_id = "map",
+                                        .unit = "foot",
+                                        .coordinate_step = 0.01},
+                             .report = MakeUploadReport()};
+  ExpectRoundTrip(notes, FormatUploadNotes(notes), ParseUploadNotes);
+  UploadNotes open = notes;
+  open.source.crs_wkt.assign(65'536, 'w');
+  open.report.census->overlapping_point_count.reset();
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const UploadNotes read,
+                                ParseUploadNotes(FormatUploadNotes(open)));
+  EXPECT_EQ(read, open);
+  const UploadNotes nothing;
+  ExpectRoundTrip(nothing, FormatUploadNotes(nothing), ParseUploadNotes);
   const ProcessReport run = {.revision = 9,
                              .distinct_point_count = 100,
                              .point_count = 50,
@@ -183,6 +198,21 @@ TEST(OpaqueRecords, OptionsOfVersion1AreReadAndEqualNoneOfToday) {
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const core::SpdfOptions read,
                                 ParseSpdfOptions(older));
   EXPECT_EQ(read, kOptions);
+}
+
+TEST(OpaqueRecords, NotesOfVersion1HaveNoCensus) {
+  UploadNotes notes;
+  notes.report = MakeUploadReport();
+  notes.report.census.reset();
+  notes.report.warnings.clear();
+  std::string older = FormatUploadNotes(notes);
+  ASSERT_EQ(older[0], 2);
+  older[0] = 1;
+  // No census, no warnings, three empty texts and a number.
+  older.resize(older.size() - (1 + 2 + 4 + 2 + 2 + 8));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const UploadNotes read,
+                                ParseUploadNotes(older));
+  EXPECT_EQ(read, notes);
 }
 
 TEST(OpaqueRecords, OutcomeHoldsTheResultOfItsVerb) {

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 #include <string>
 #include <thread>
 #include <vector>
@@ -70,7 +71,11 @@ TEST_F(UploadsTest, CreateTellsWhatIsThere) {
   const UploadSpec spec = {.upload_id = "0123abc",
                            .expected_bytes = 1000,
                            .content_hash = std::string(32, 'a'),
-                           .refused = {.non_finite = 3, .out_of_lattice = 4}};
+                           .refused = {.non_finite = 3, .out_of_lattice = 4},
+                           .source = {.crs_wkt = std::string(65'536, 'w'),
+                                      .frame_id = "odom",
+                                      .unit = "foot",
+                                      .coordinate_step = 0.25}};
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const UploadInfo created,
                                 service_->CreateUpload("map", spec));
   EXPECT_EQ(created.spec, spec);
@@ -118,6 +123,21 @@ TEST_F(UploadsTest, CreateRefusesWhatIsNoUpload) {
   spec.expected_bytes = -1;
   EXPECT_THAT(service_->CreateUpload("map", spec),
               StatusIs(kInvalid, HasSubstr("expected_bytes is -1")));
+  const auto refusal = [&](const UploadSource& source) {
+    spec = good;
+    spec.source = source;
+    return service_->CreateUpload("map", spec).status();
+  };
+  EXPECT_THAT(refusal({.crs_wkt = std::string(65'537, 'x')}),
+              StatusIs(kInvalid, HasSubstr("source.crs_wkt")));
+  EXPECT_THAT(refusal({.frame_id = std::string(256, 'x')}),
+              StatusIs(kInvalid, HasSubstr("source.frame_id")));
+  EXPECT_THAT(refusal({.unit = "a\tb"}),
+              StatusIs(kInvalid, HasSubstr("source.unit")));
+  for (const double step : {-1.0, std::nan(""), HUGE_VAL}) {
+    EXPECT_THAT(refusal({.coordinate_step = step}),
+                StatusIs(kInvalid, HasSubstr("source.coordinate_step")));
+  }
   spec = good;
   spec.refused.non_finite = -1;
   EXPECT_THAT(service_->CreateUpload("map", spec),
@@ -258,6 +278,21 @@ TEST_F(UploadsTest, EmptyUploadAddsNothing) {
   EXPECT_EQ(StateOf("empty"), UploadState::kFinalized);
   EXPECT_THAT(service_->ProcessMap("map", std::nullopt),
               StatusIs(kFailedPrecondition, HasSubstr("no points")));
+}
+
+TEST_F(UploadsTest, UploadThatNobodyWroteToTellsWhatWasRefused) {
+  MAPSIEVE_ASSERT_OK(service_->CreateUpload(
+      "map", {.upload_id = "refused",
+              .content_hash = ContentHash({}),
+              .refused = {.non_finite = 3, .out_of_lattice = 4}}));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Operation operation,
+                                service_.Finalize("map", "refused"));
+  MAPSIEVE_ASSERT_OK(operation.error);
+  const UploadReport& report = *operation.upload_report;
+  EXPECT_EQ(report.added_point_count, 0);
+  EXPECT_EQ(report.refused.non_finite, 3);
+  EXPECT_EQ(report.refused.out_of_lattice, 4);
+  EXPECT_EQ(report.census->density_histogram, std::vector<int64_t>());
 }
 
 TEST_F(UploadsTest, OnePointAtTheEndOfTheLattice) {

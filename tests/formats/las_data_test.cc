@@ -161,6 +161,26 @@ TEST(LasTestData, VersionsAndFormatsOfOnePointAgree) {
   }
 }
 
+TEST(LasTestData, UnitsAreThoseOfKeysAndWkt) {
+  const auto unit = [](const char* name) {
+    const auto reader = OpenLasFile(kData / name);
+    EXPECT_TRUE(reader.ok()) << reader.status();
+    return (*reader)->info().unit;
+  };
+  EXPECT_EQ(unit("formats/las/pdal/1.2_0.las"), "metre");
+  EXPECT_EQ(unit("formats/las/pdal/wontcompress3.las"), "metre");
+  EXPECT_EQ(unit("formats/las/laz-perf/1815.las"), "metre");
+  EXPECT_EQ(unit("formats/las/pdal/prec3.las"), "foot");
+  EXPECT_EQ(unit("formats/las/pdal/interesting.las"), "foot");
+  EXPECT_EQ(unit("formats/las/las-rs/autzen.las"), "foot");
+  EXPECT_EQ(unit("maps/autzen_trim.las"), "foot");
+  EXPECT_EQ(unit("formats/las/pdal/lots_of_vlr.las"), "US survey foot");
+  EXPECT_EQ(unit("formats/las/laspy/test1_4.las"), "US survey foot");
+  EXPECT_EQ(unit("formats/las/pdal/spurious.las"), "degree");
+  EXPECT_EQ(unit("maps/autzen_140m_metres.las"), "");
+  EXPECT_EQ(unit("formats/las/laspy/simple1_3.las"), "");
+}
+
 TEST(LasTestData, EveryReadableFileSurvivesWriting) {
   int count = 0;
   for (const auto& entry :

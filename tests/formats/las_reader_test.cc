@@ -544,6 +544,40 @@ TEST(LasReader, FindsTheCrs) {
   EXPECT_EQ(crs(text), "PROJCS[\"c\"]");
 }
 
+TEST(LasReader, FindsTheUnit) {
+  const auto info = [](const std::vector<std::string>& vlrs) {
+    const TemporaryFile file(
+        ".las",
+        LasText{.minor = 4, .vlrs = vlrs, .records = {Record0(0)}}.Build());
+    return (*OpenLasFile(file.path()))->info();
+  };
+  const auto keys = [](uint16_t model, uint16_t projected, uint16_t geographic,
+                       uint16_t unit) {
+    return Vlr("LASF_Projection", 34735,
+               Packed(uint16_t{1}, uint16_t{1}, uint16_t{0}, uint16_t{4},
+                      uint16_t{1024}, uint16_t{0}, uint16_t{1}, model,
+                      uint16_t{3072}, uint16_t{0}, uint16_t{1}, projected,
+                      uint16_t{2048}, uint16_t{0}, uint16_t{1}, geographic,
+                      uint16_t{3076}, uint16_t{0}, uint16_t{1}, unit));
+  };
+  const std::string wkt =
+      Vlr("LASF_Projection", 2112, "PROJCS[\"a\",UNIT[\"metre\",1]]");
+  EXPECT_EQ(info({}).unit, "");
+  EXPECT_EQ(info({keys(1, 26915, 0, 9001)}).unit, "metre");
+  EXPECT_EQ(info({keys(1, 2994, 0, 9002)}).unit, "foot");
+  EXPECT_EQ(info({keys(1, 2903, 0, 9003)}).unit, "US survey foot");
+  EXPECT_EQ(info({keys(1, 2903, 0, 9036)}).unit, "EPSG unit 9036");
+  EXPECT_EQ(info({keys(1, 2903, 0, 0)}).unit, "");
+  EXPECT_EQ(info({keys(2, 0, 4326, 0)}).unit, "degree");
+  // Of a key that is none of a unit nothing is believed.
+  EXPECT_EQ(info({keys(1, 0, 0, 32632)}).unit, "");
+  // The WKT prevails.
+  EXPECT_EQ(info({keys(1, 26915, 0, 9002), wkt}).unit, "metre");
+  // The base of a projection of the file's own is not its system.
+  EXPECT_EQ(info({keys(1, 32767, 4269, 9002)}).crs_wkt, "");
+  EXPECT_EQ(info({keys(1, 32767, 4269, 9002)}).unit, "foot");
+}
+
 TEST(LasReader, ReadsPointsBehindDamagedRecords) {
   LasText text{.vlrs = {Vlr("a", 1, "payload")}, .records = {Record0(5)}};
   text.vlr_count = 4000000000;

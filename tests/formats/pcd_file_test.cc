@@ -438,12 +438,51 @@ TEST(PcdWriter, WritesFloatPositionsOnRequest) {
                                   .float_positions = true}));
   MAPSIEVE_ASSERT_OK(writer->Write(cloud));
   MAPSIEVE_ASSERT_OK(writer->Finish());
-  EXPECT_THAT(file.Read(),
-              ::testing::EndsWith(
-                  "\nVERSION 0.7\nFIELDS x y z ring\nSIZE 4 4 4 1\n"
-                  "TYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 1\nHEIGHT 1\n"
-                  "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 1\nDATA binary\n" +
-                  Packed(1.0F, 2.5F, 16777216.0F, uint8_t{7})));
+  EXPECT_THAT(
+      file.Read(),
+      ::testing::EndsWith("\nVERSION 0.7\nFIELDS x y z ring\nSIZE 4 4 4 1\n"
+                          "TYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 1\nHEIGHT 1\n"
+                          "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 1\nDATA binary\n" +
+                          Packed(1.0F, 2.5F, 16777216.0F, uint8_t{7})));
+}
+
+TEST(PcdWriter, KeepsWherePointsLieInComments) {
+  const std::string wkt = "PROJCS[\"a b\",UNIT[\"foot\",0.3048]]";
+  for (const std::string& crs : {std::string("EPSG:2056"), wkt}) {
+    const TemporaryFile file(".pcd");
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const auto writer,
+        CreatePcdFile(file.path(), {.crs_wkt = crs, .frame_id = "map 1"}));
+    MAPSIEVE_ASSERT_OK(writer->Write({.positions = {{1, 2, 3}}}));
+    MAPSIEVE_ASSERT_OK(writer->Finish());
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto reader, OpenPcdFile(file.path()));
+    EXPECT_EQ(reader->info().crs_wkt, crs);
+    EXPECT_EQ(reader->info().frame_id, "map 1");
+    EXPECT_EQ(reader->info().unit, crs == wkt ? "foot" : "");
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud cloud, ReadAll(*reader));
+    EXPECT_THAT(cloud.positions, ElementsAre(Point3{1, 2, 3}));
+  }
+  // Lines that are too long for readers are left out.
+  const TemporaryFile file(".pcd");
+  MAPSIEVE_ASSERT_OK(
+      WritePointFile(file.path(), {.positions = {{1, 2, 3}}},
+                     {.crs_wkt = "A[\"" + std::string(900, 'x') + "\"]"}));
+  EXPECT_EQ(file.Read().find("crs:"), std::string::npos);
+}
+
+TEST(PcdReader, TakesOnlyItsOwnComments) {
+  const auto info = [](const std::string& comments) {
+    const TemporaryFile file(".pcd", comments +
+                                         "VERSION 0.7\nFIELDS x y z\nWIDTH "
+                                         "1\nPOINTS 1\nDATA ascii\n1 2 3\n");
+    return (*OpenPcdFile(file.path()))->info();
+  };
+  EXPECT_EQ(info("# frame_id:   base link \n").frame_id, "base link");
+  EXPECT_EQ(info("# crs: EPSG:25832\n").crs_wkt, "EPSG:25832");
+  EXPECT_EQ(info("# crs: unknown\n").crs_wkt, "");
+  EXPECT_EQ(info("# crs: unknown [sic]\n").crs_wkt, "");
+  EXPECT_EQ(info("# the frame_id: map\n").frame_id, "");
+  EXPECT_EQ(info("#\n").frame_id, "");
 }
 
 TEST(PcdWriter, WritesMissingValuesAsNanOrZero) {

@@ -432,6 +432,45 @@ TEST(PlyWriter, WritesWhatTheReaderReadsBitForBit) {
   EXPECT_EQ(back.attributes, cloud.attributes);
 }
 
+TEST(PlyWriter, KeepsWherePointsLieInComments) {
+  const std::string wkt = "PROJCS[\"a b\",UNIT[\"foot\",0.3048]]";
+  for (const std::string& crs : {std::string("EPSG:2056"), wkt}) {
+    const TemporaryFile file(".ply");
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const auto writer,
+        CreatePlyFile(file.path(), {.crs_wkt = crs, .frame_id = "map 1"}));
+    MAPSIEVE_ASSERT_OK(writer->Write({.positions = {{1, 2, 3}}}));
+    MAPSIEVE_ASSERT_OK(writer->Finish());
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto reader, OpenPlyFile(file.path()));
+    EXPECT_EQ(reader->info().crs_wkt, crs);
+    EXPECT_EQ(reader->info().frame_id, "map 1");
+    EXPECT_EQ(reader->info().unit, crs == wkt ? "foot" : "");
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud cloud, ReadAll(*reader));
+    EXPECT_THAT(cloud.positions, ElementsAre(Point3{1, 2, 3}));
+  }
+  // Lines that are too long for readers are left out.
+  const TemporaryFile file(".ply");
+  MAPSIEVE_ASSERT_OK(
+      WritePointFile(file.path(), {.positions = {{1, 2, 3}}},
+                     {.crs_wkt = "A[\"" + std::string(900, 'x') + "\"]"}));
+  EXPECT_EQ(file.Read().find("crs:"), std::string::npos);
+}
+
+TEST(PlyReader, TakesOnlyItsOwnComments) {
+  const auto info = [](const std::string& comments) {
+    const TemporaryFile file(
+        ".ply",
+        Header("ascii", comments + "element vertex 1\n" + kXyz) + "1 2 3\n");
+    return (*OpenPlyFile(file.path()))->info();
+  };
+  EXPECT_EQ(info("comment frame_id:   base link \n").frame_id, "base link");
+  EXPECT_EQ(info("comment crs: EPSG:25832\n").crs_wkt, "EPSG:25832");
+  EXPECT_EQ(info("comment crs: unknown\n").crs_wkt, "");
+  EXPECT_EQ(info("comment crs: unknown [sic]\n").crs_wkt, "");
+  EXPECT_EQ(info("comment the frame_id: map\n").frame_id, "");
+  EXPECT_EQ(info("comment\n").frame_id, "");
+}
+
 TEST(PlyWriter, WritesMissingValuesAsNanOrZero) {
   const TemporaryFile file(".ply");
   PointCloud cloud{.positions = {{1, 2, 3}, {4, 5, 6}}};

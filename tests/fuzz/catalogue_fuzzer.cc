@@ -95,7 +95,7 @@ void CheckBytes(uint8_t reader, std::string_view bytes) {
     case 0:
       return CheckRecord(bytes, ParseSpdfOptions, FormatSpdfOptions);
     case 1:
-      return CheckRecord(bytes, ParseUploadReport, FormatUploadReport);
+      return CheckRecord(bytes, ParseUploadNotes, FormatUploadNotes);
     case 2:
       return CheckRecord(bytes, ParseProcessReport, FormatProcessReport);
     case 3:

@@ -164,7 +164,8 @@ void CheckPositions(const PointCloud& cloud, const PointCloud& back,
 void CheckWriter(const PointCloud& cloud, const PointFileInfo& info,
                  const std::filesystem::path& path) {
   const bool is_las = path.extension() == ".las";
-  WriteOptions options{.coordinate_step = 0, .crs_wkt = info.crs_wkt};
+  WriteOptions options{
+      .coordinate_step = 0, .crs_wkt = info.crs_wkt, .frame_id = info.frame_id};
   if (is_las) {
     options.coordinate_step =
         info.coordinate_step > 0 ? info.coordinate_step : 0.001;

@@ -231,6 +231,28 @@ TEST(ToProto, OperationIsDoneWithExactlyOneResult) {
   EXPECT_FALSE(response.report().has_bounds());
 }
 
+TEST(ToProto, ReportHasTheCensusAndTheWarnings) {
+  engine::UploadReport report;
+  EXPECT_FALSE(ToProto(report).has_census());
+  report.census = {.duplicate_point_count = 3,
+                   .overlapping_point_count = 0,
+                   .density_cell_level = 10,
+                   .density_histogram = {4, 0, 5}};
+  report.warnings = {{"crs_differs", "as it is"}};
+  v1::UploadReport proto = ToProto(report);
+  EXPECT_EQ(proto.census().duplicate_point_count(), 3);
+  EXPECT_TRUE(proto.census().has_overlapping_point_count());
+  EXPECT_EQ(proto.census().density_cell_level(), 10);
+  EXPECT_THAT(proto.census().density_histogram(),
+              ::testing::ElementsAre(4, 0, 5));
+  ASSERT_EQ(proto.warnings_size(), 1);
+  EXPECT_EQ(proto.warnings(0).code(), "crs_differs");
+  EXPECT_EQ(proto.warnings(0).message(), "as it is");
+  report.census->overlapping_point_count.reset();
+  proto = ToProto(report);
+  EXPECT_FALSE(proto.census().has_overlapping_point_count());
+}
+
 TEST(ToProto, ColumnNamesAreValidText) {
   EXPECT_EQ(
       ToProto(core::ColumnSpec{"H\xf6he", core::ScalarType::kInt8}).name(),

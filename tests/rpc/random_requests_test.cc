@@ -79,13 +79,14 @@ class Filler {
                            std::numeric_limits<int32_t>::max(),
                            std::numeric_limits<int32_t>::min()}));
         break;
-      case FieldDescriptor::CPPTYPE_INT64:
-        reflection.SetInt64(
-            &message, &field,
-            Pick<int64_t>({0, 1, -1, 2, 1000, int64_t{1} << 42,
-                           std::numeric_limits<int64_t>::max(),
-                           std::numeric_limits<int64_t>::min()}));
+      case FieldDescriptor::CPPTYPE_INT64: {
+        const auto value = Pick<int64_t>({0, 1, -1, 2, 1000, int64_t{1} << 42,
+                                          std::numeric_limits<int64_t>::max(),
+                                          std::numeric_limits<int64_t>::min()});
+        repeated ? reflection.AddInt64(&message, &field, value)
+                 : reflection.SetInt64(&message, &field, value);
         break;
+      }
       case FieldDescriptor::CPPTYPE_UINT64:
         reflection.SetUInt64(&message, &field, random_());
         break;

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/time/clock.h"
+#include "core/base/hash.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/rpc/service_fixture.h"
@@ -172,6 +173,52 @@ TEST_F(UploadTest, GoesOnAfterABrokenStream) {
   MAPSIEVE_ASSERT_OK(written);
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto started, client_->Finalize(kUpload));
   MAPSIEVE_EXPECT_OK(client_->Wait(started.name()));
+}
+
+TEST_F(UploadTest, TheSourceGivesTheMapItsPlace) {
+  const auto bytes = UploadBytes(TestScene(500), 300);
+  MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
+  v1::CreateUploadRequest request;
+  request.set_parent("maps/campus");
+  request.set_upload_id("u");
+  v1::Upload& told = *request.mutable_upload();
+  told.set_expected_bytes(static_cast<int64_t>(bytes.size()));
+  told.set_content_hash(ContentHash(bytes));
+  told.mutable_source()->set_crs_wkt("EPSG:2056");
+  told.mutable_source()->set_frame_id("map");
+  told.mutable_source()->set_unit("foot");
+  told.mutable_source()->set_coordinate_step(0.25);
+  v1::Upload upload;
+  MAPSIEVE_ASSERT_OK(FromGrpc(client_->uploads->CreateUpload(
+      client_->NewContext().get(), request, &upload)));
+  EXPECT_EQ(upload.source().SerializeAsString(),
+            told.source().SerializeAsString());
+  MAPSIEVE_ASSERT_OK(client_->Write(kUpload, bytes));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto started, client_->Finalize(kUpload));
+  MAPSIEVE_ASSERT_OK(client_->Wait(started.name()));
+
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(upload, client_->GetUpload(kUpload));
+  EXPECT_EQ(upload.source().SerializeAsString(),
+            told.source().SerializeAsString());
+  ASSERT_EQ(upload.report().warnings_size(), 1);
+  EXPECT_EQ(upload.report().warnings(0).code(), "unit_not_metre");
+  EXPECT_EQ(upload.report().census().overlapping_point_count(), 0);
+  v1::GetMapRequest get;
+  get.set_name("maps/campus");
+  v1::Map map;
+  MAPSIEVE_ASSERT_OK(
+      FromGrpc(client_->maps->GetMap(client_->NewContext().get(), get, &map)));
+  EXPECT_EQ(map.crs_wkt(), "EPSG:2056");
+  EXPECT_EQ(map.frame_id(), "map");
+  // A page of long texts could exceed what a client receives.
+  v1::ListUploadsRequest list;
+  list.set_parent("maps/campus");
+  v1::ListUploadsResponse page;
+  MAPSIEVE_ASSERT_OK(FromGrpc(
+      client_->uploads->ListUploads(client_->NewContext().get(), list, &page)));
+  ASSERT_EQ(page.uploads_size(), 1);
+  EXPECT_EQ(page.uploads(0).source().crs_wkt(), "");
+  EXPECT_EQ(page.uploads(0).source().frame_id(), "map");
 }
 
 TEST_F(UploadTest, IncompleteUploadIsNotFinalized) {

@@ -168,10 +168,14 @@ class CatalogueDifferentialTest : public ::testing::Test {
     const int64_t parent = Chance(95) ? newest : Draw(0, newest + 1);
     const bool has_upload = Chance(20);
     const size_t upload = DrawIndex(sides_[0].upload_uids);
+    const std::string crs_wkt = Chance(5) ? DrawId() : "";
+    const std::string frame_id = Chance(5) ? DrawId() : "";
     Both("CommitRevision", [&](Side& side) {
       if (has_upload)
         change.finalized_upload_uid = At(side.upload_uids, upload);
       change.upload_report = "report";
+      change.crs_wkt = crs_wkt;
+      change.frame_id = frame_id;
       return Told(side.catalogue->CommitRevision(At(side.map_uids, map), parent,
                                                  change));
     });

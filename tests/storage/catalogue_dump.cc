@@ -104,8 +104,8 @@ absl::Status DumpMap(const Catalogue& catalogue, const std::string& uid,
 
 std::string Describe(const MapRecord& map, Identities identities) {
   return Line("map", map.spec.id, map.spec.display_name, map.spec.step_nm,
-              map.spec.tile_level, map.spec.crs_wkt, map.newest_revision,
-              map.process_options)
+              map.spec.tile_level, map.spec.crs_wkt, map.spec.frame_id,
+              map.newest_revision, map.process_options)
       .AddIdentity(identities, map.uid, map.create_time, map.update_time)
       .text();
 }

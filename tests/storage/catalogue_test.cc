@@ -45,6 +45,7 @@ TEST_P(CatalogueTest, ANewMapIsEmptyAndKeepsItsSpec) {
   spec.step_nm = 2'000'000;
   spec.tile_level = 14;
   spec.crs_wkt = std::string("PROJCS[\"x\"]\0y", 13);
+  spec.frame_id = "map";
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const MapRecord created,
                                 catalogue_->CreateMap(spec));
   EXPECT_EQ(created.spec, spec);
@@ -64,6 +65,33 @@ TEST_P(CatalogueTest, ANewMapIsEmptyAndKeepsItsSpec) {
   EXPECT_EQ(first.parent, 0);
   EXPECT_EQ(first.processed_revision, 0);
   EXPECT_EQ(first.totals, RevisionTotals());
+}
+
+TEST_P(CatalogueTest, ACommitMayNameWhereTheMapLies) {
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const MapRecord made,
+                                catalogue_->CreateMap(TestMap("campus")));
+  RevisionChange change;
+  change.frame_id = "map";
+  MAPSIEVE_ASSERT_OK(catalogue_->CommitRevision(made.uid, 1, change));
+  change = {};
+  change.crs_wkt = "EPSG:2056";
+  MAPSIEVE_ASSERT_OK(catalogue_->CommitRevision(made.uid, 2, change));
+  MAPSIEVE_ASSERT_OK(catalogue_->CommitRevision(made.uid, 3, {}));
+  EXPECT_EQ(catalogue_->GetMap("campus")->spec.frame_id, "map");
+  change = {};
+  change.frame_id = "odom";
+  MAPSIEVE_ASSERT_OK(catalogue_->CommitRevision(made.uid, 4, change));
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(made.uid, 1));
+  change.crs_wkt.assign((size_t{64} << 10) + 1, 'x');
+  EXPECT_THAT(
+      catalogue_->CommitRevision(made.uid, 6, change),
+      StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("crs_wkt")));
+
+  Reopen();
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const MapRecord map,
+                                catalogue_->GetMap("campus"));
+  EXPECT_EQ(map.spec.crs_wkt, "EPSG:2056");
+  EXPECT_EQ(map.spec.frame_id, "odom");
 }
 
 TEST_P(CatalogueTest, AMapIdIsTakenOnce) {
@@ -95,6 +123,10 @@ TEST_P(CatalogueTest, IllFormedMapsAreRefused) {
   EXPECT_THAT(
       catalogue_->CreateMap(spec),
       StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("tile_level")));
+  spec = TestMap("a");
+  spec.frame_id.assign(256, 'x');
+  EXPECT_THAT(catalogue_->CreateMap(spec),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("256")));
   spec = TestMap("a");
   spec.display_name.assign(129, 'x');
   EXPECT_THAT(catalogue_->CreateMap(spec),

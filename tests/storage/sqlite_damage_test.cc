@@ -318,11 +318,11 @@ TEST_F(SqliteDamageTest, ForeignAndNewerDatabasesAreRefused) {
   {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
         const auto database, SqliteDatabase::Open(PosixFileSystem(), path_));
-    MAPSIEVE_ASSERT_OK(database->Execute("PRAGMA user_version = 5"));
+    MAPSIEVE_ASSERT_OK(database->Execute("PRAGMA user_version = 6"));
   }
   EXPECT_THAT(OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kCreate),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       AllOf(HasSubstr("version 5"), HasSubstr("3 and 4"))));
+                       AllOf(HasSubstr("version 6"), HasSubstr("3 to 5"))));
 }
 
 TEST_F(SqliteDamageTest, AnAbsentCatalogueIsMadeOnlyWhereAskedFor) {

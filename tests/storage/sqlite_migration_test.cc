@@ -11,6 +11,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "storage/sqlite_catalogue.h"
+#include "storage/sqlite_database.h"
 #include "tests/storage/catalogue_dump.h"
 #include "tests/storage/storage_test_util.h"
 #include "tests/testing/fault_file_system.h"
@@ -103,7 +104,8 @@ class SqliteMigrationTest : public ::testing::Test {
           "INSERT INTO main.sqlite_sequence SELECT * FROM "
           "source.sqlite_sequence");
       database.Execute("DETACH source");
-      // What version 4 brought.
+      // What versions 4 and 5 brought.
+      database.Execute("ALTER TABLE maps DROP COLUMN frame_id");
       database.Execute("DROP TABLE tile_changes");
       database.Execute("DROP INDEX revisions_kept");
       database.Execute("DROP INDEX chunks_removed");
@@ -163,9 +165,31 @@ TEST_F(SqliteMigrationTest, ACatalogueOfVersion3AnswersAsBefore) {
     EXPECT_EQ((*catalogue)->ExpireRevisions(map.uid, 1).value_or(-1), 2);
     MAPSIEVE_EXPECT_OK((*catalogue)->ForgetExpired(map.uid, {}));
   }
-  EXPECT_EQ(Version(path_), 4);
+  EXPECT_EQ(Version(path_), 5);
   EXPECT_EQ(ReadWholeFile(path_)[20], 8);
   EXPECT_THAT(std::filesystem::exists(path_ + ".new"), false);
+}
+
+TEST_F(SqliteMigrationTest, ACatalogueOfVersion4AnswersAsBefore) {
+  MAPSIEVE_ASSERT_OK(
+      OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kFail));
+  {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const auto database, SqliteDatabase::Open(PosixFileSystem(), path_));
+    MAPSIEVE_ASSERT_OK(
+        database->Execute("ALTER TABLE maps DROP COLUMN frame_id"));
+    MAPSIEVE_ASSERT_OK(database->Execute("PRAGMA user_version = 4"));
+  }
+  const auto catalogue =
+      OpenSqliteCatalogue(PosixFileSystem(), path_, IfAbsent::kFail);
+  MAPSIEVE_ASSERT_OK(catalogue);
+  EXPECT_EQ(*Dump(**catalogue, Identities::kTold), expected_);
+  MapSpec spec = TestMap("new");
+  spec.frame_id = "odom";
+  MAPSIEVE_ASSERT_OK((*catalogue)->CreateMap(spec));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const MapRecord map,
+                                (*catalogue)->GetMap("new"));
+  EXPECT_EQ(map.spec.frame_id, "odom");
 }
 
 TEST_F(SqliteMigrationTest, EarlierVersionsAreRefused) {
@@ -195,7 +219,7 @@ TEST_F(SqliteMigrationTest, AnyFailureOrCrashLeavesTheOldOneOrTheNewOne) {
     const bool fired = files.fired();
     files.Disarm();
     files.LosePower(n % 4 < 2 ? Loss::kEverything : Loss::kSomeContent);
-    ++(Version(path_) == 4 ? new_count : old_count);
+    ++(Version(path_) == 5 ? new_count : old_count);
     const auto catalogue = OpenSqliteCatalogue(files, path_, IfAbsent::kFail);
     MAPSIEVE_ASSERT_OK(catalogue);
     EXPECT_EQ(*Dump(**catalogue, Identities::kTold), expected_);

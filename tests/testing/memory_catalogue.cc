@@ -303,6 +303,9 @@ absl::StatusOr<RevisionRecord> MemoryCatalogue::CommitRevision(
   record.create_time = absl::Now();
   record.spec = change.spec;
   record.restored_revision = 0;
+  storage::MapSpec& spec = map->record.spec;
+  if (!change.crs_wkt.empty()) spec.crs_wkt = change.crs_wkt;
+  if (!change.frame_id.empty()) spec.frame_id = change.frame_id;
   std::string options = map->record.process_options;
   if (change.spec.product.has_value()) {
     record.processed_revision = record.number;
