@@ -69,9 +69,10 @@ bool IsNumberOrEmpty(std::string_view field) {
   return field.empty() || ParseNumber(field, value);
 }
 
-// Without the quotes that spreadsheets put around names.
+// Without the quotes that spreadsheets put around names, however many: a name
+// is then read as it is written.
 std::string_view Unquoted(std::string_view name) {
-  if (name.size() >= 2 && name.front() == '"' && name.back() == '"') {
+  while (name.size() >= 2 && name.front() == '"' && name.back() == '"') {
     name = name.substr(1, name.size() - 2);
   }
   return name;

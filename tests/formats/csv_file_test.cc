@@ -85,6 +85,9 @@ TEST(CsvReader, TakesNamesFromTheHeaderWhereverXyzAre) {
   EXPECT_THAT(Names(cloud), ElementsAre("t", "intensity", "c5", "Zone 1"));
   EXPECT_THAT(Values(cloud, 1), ElementsAre(3));
   EXPECT_THAT(Values(cloud, 3), ElementsAre(7));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud quoted,
+                                ReadText("x,y,z,\"\"a\"\"\n1,2,3,4\n"));
+  EXPECT_THAT(Names(quoted), ElementsAre("a"));
 }
 
 TEST(CsvReader, TakesNamesFromACommentThatFits) {
