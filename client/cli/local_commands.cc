@@ -60,7 +60,7 @@ absl::StatusOr<core::LatticeCloud> UnderBudget(
     positions.push_back(cloud.positions[row]);
   }
   MAPSIEVE_ASSIGN_OR_RETURN(
-      const core::BudgetSample sample,
+      const core::CellSample sample,
       core::SampleUnderBudget(positions, filtered.columns.label,
                               command.max_points));
   std::vector<uint32_t> kept_rows;
