@@ -17,14 +17,12 @@ namespace mapsieve::core {
 /// `precision` at most. Where the count is not monotone the bounds close in on
 /// one of the places where it passes `wanted`, and the best parameter met on
 /// the way is taken. `count(parameter)`, a StatusOr<int64_t>, may give any
-/// number above `wanted` for one that is.
-/// Errors: kFailedPrecondition if not even `high` keeps so few, those of
-/// `count`, kCancelled.
+/// number above `wanted` for one that is. Nothing if not even `high` keeps so
+/// few. Errors: those of `count`, kCancelled.
 template <typename Count>
-absl::StatusOr<double> SearchParameter(double low, double high,
-                                       double precision, int64_t wanted,
-                                       const ExecutionContext& context,
-                                       const Count& count) {
+absl::StatusOr<std::optional<double>> SearchParameter(
+    double low, double high, double precision, int64_t wanted,
+    const ExecutionContext& context, const Count& count) {
   std::optional<double> best;
   int64_t best_count = -1;
   const auto fits = [&](double parameter) -> absl::StatusOr<bool> {
@@ -43,13 +41,9 @@ absl::StatusOr<double> SearchParameter(double low, double high,
     (is_enough ? high : low) = middle;
   }
   if (!best.has_value()) {
-    MAPSIEVE_ASSIGN_OR_RETURN(const bool is_enough, fits(high));
-    if (!is_enough) {
-      return absl::FailedPreconditionError(
-          absl::StrCat("no parameter leaves as few as ", wanted, " points"));
-    }
+    MAPSIEVE_RETURN_IF_ERROR(fits(high).status());
   }
-  return *best;
+  return best;
 }
 
 }  // namespace mapsieve::core

@@ -3,9 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <unordered_map>
 #include <utility>
 
+#include "absl/container/flat_hash_map.h"
+#include "core/base/status.h"
 #include "core/geometry/cell_key.h"
 #include "core/sampling/parameter_search.h"
 
@@ -24,7 +25,7 @@ std::optional<int64_t> NumberVoxels(std::span<const LatticePoint> positions,
     return static_cast<int64_t>(
         std::floor(static_cast<double>(q) / edge_steps));
   };
-  std::unordered_map<CellKey, uint32_t, CellKeyHash> numbers;
+  absl::flat_hash_map<CellKey, uint32_t, CellKeyHash> numbers;
   CellKey last = {.level = -1};
   uint32_t number = 0;
   for (uint32_t i = 0; i < positions.size(); ++i) {
@@ -78,12 +79,20 @@ absl::StatusOr<double> FindVoxelEdge(std::span<const LatticePoint> positions,
     farthest =
         std::max({farthest, std::abs(q.x), std::abs(q.y), std::abs(q.z)});
   }
-  return SearchParameter(
-      lattice.step(), lattice.Coordinate(farthest + 1), 1 + 1e-6, count,
-      context, [&](double edge_m) -> absl::StatusOr<int64_t> {
-        return CountVoxels(positions, edge_m / lattice.step(), count)
-            .value_or(count + 1);
-      });
+  const auto count_voxels = [&](double edge_m) -> absl::StatusOr<int64_t> {
+    return CountVoxels(positions, edge_m / lattice.step(), count)
+        .value_or(count + 1);
+  };
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::optional<double> found,
+      SearchParameter(lattice.step(), lattice.Coordinate(farthest + 1),
+                      1 + 1e-6, count, context, count_voxels));
+  if (!found.has_value()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("no voxel edge leaves as few as ", count,
+                     " points: up to eight voxels meet at the origin"));
+  }
+  return *found;
 }
 
 }  // namespace mapsieve::core

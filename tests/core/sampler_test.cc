@@ -335,12 +335,13 @@ TEST(Sampler, FailsWhereNoParameterKeepsSoFew) {
   EXPECT_THAT(
       Sample(corners, {.method = SampleMethod::kVoxel, .max_points = 7}),
       StatusIs(absl::StatusCode::kFailedPrecondition,
-               HasSubstr("as few as 7 points")));
+               HasSubstr("no voxel edge leaves as few as 7 points")));
   // Two rounds halve no cloud to a single point.
-  EXPECT_THAT(Sample(testing::PlaneCloud(3000, 2, 8),
-                     {.max_points = 1, .spdf = {.max_round_count = 2}}),
-              StatusIs(absl::StatusCode::kFailedPrecondition,
-                       HasSubstr("as few as 1 points")));
+  EXPECT_THAT(
+      Sample(testing::PlaneCloud(3000, 2, 8),
+             {.max_points = 1, .spdf = {.max_round_count = 2}}),
+      StatusIs(absl::StatusCode::kFailedPrecondition,
+               HasSubstr("8.191 (8191 lattice steps) leaves as few as 1")));
 }
 
 TEST(Sampler, StopsWhenAsked) {
