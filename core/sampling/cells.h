@@ -2,6 +2,7 @@
 #define MAPSIEVE_CORE_SAMPLING_CELLS_H_
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <queue>
@@ -40,6 +41,13 @@ enum class Representative : uint8_t {
   /// distances to the others: it is their medoid.
   kNearest,
 };
+
+/// `length_m` map units in lattice steps, to a nanometre: whole numbers of
+/// steps come out whole.
+inline double LengthInSteps(double length_m, const Lattice& lattice) {
+  return std::nearbyint(length_m * 1e9) /
+         static_cast<double>(lattice.step_nm());
+}
 
 /// Points chosen, one a cell.
 struct CellSample {

@@ -43,7 +43,7 @@ struct Choice {
 
 /// The largest level of which cells have an edge of at most `edge_m`.
 int LevelOfEdge(double edge_m, const Lattice& lattice) {
-  return std::min(std::ilogb(edge_m / lattice.step()), kMaxCellLevel);
+  return std::min(std::ilogb(LengthInSteps(edge_m, lattice)), kMaxCellLevel);
 }
 
 /// The smallest limit that `value` is below.
@@ -143,7 +143,8 @@ absl::StatusOr<Choice> ChooseByVoxel(std::span<const LatticePoint> positions,
     MAPSIEVE_ASSIGN_OR_RETURN(
         edge_m, FindVoxelEdge(positions, lattice, options.max_points, context));
   }
-  const VoxelCells voxels = DivideInVoxels(positions, edge_m / lattice.step());
+  const VoxelCells voxels =
+      DivideInVoxels(positions, LengthInSteps(edge_m, lattice));
   const Representative kind = options.ChosenRepresentative();
   MAPSIEVE_ASSIGN_OR_RETURN(
       CellSample sample, RepresentCells(positions, voxels.order, voxels.cells,

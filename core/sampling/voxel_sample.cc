@@ -80,7 +80,7 @@ absl::StatusOr<double> FindVoxelEdge(std::span<const LatticePoint> positions,
         std::max({farthest, std::abs(q.x), std::abs(q.y), std::abs(q.z)});
   }
   const auto count_voxels = [&](double edge_m) -> absl::StatusOr<int64_t> {
-    return CountVoxels(positions, edge_m / lattice.step(), count)
+    return CountVoxels(positions, LengthInSteps(edge_m, lattice), count)
         .value_or(count + 1);
   };
   MAPSIEVE_ASSIGN_OR_RETURN(

@@ -17,6 +17,7 @@
 #include "core/sampling/voxel_sample.h"
 #include "tests/testing/clouds.h"
 #include "tests/testing/status_matchers.h"
+#include "tests/testing/symmetric3.h"
 
 namespace mapsieve::core {
 namespace {
@@ -137,13 +138,16 @@ TEST(OctreeHalves, AreAsManyAsWantedAndTheFullestIsHalvedFirst) {
     }
     EXPECT_EQ(std::count(seen.begin(), seen.end(), 1),
               static_cast<ptrdiff_t>(seen.size()));
-    // One more: it comes from the fullest.
+    // One more: the fullest, of equal ones the first, is gone for it.
+    CellRange fullest = {.begin = static_cast<uint32_t>(positions.size())};
+    for (const CellRange& cell : cells) {
+      if (cell.size() == largest && cell.begin < fullest.begin) fullest = cell;
+    }
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<CellRange> more,
                                   OctreeHalves(positions, count + 1, {}));
     for (const CellRange& cell : cells) {
-      const bool stays =
-          std::find(more.begin(), more.end(), cell) != more.end();
-      EXPECT_TRUE(stays || cell.size() == largest);
+      EXPECT_EQ(std::find(more.begin(), more.end(), cell) != more.end(),
+                cell != fullest);
     }
   }
 }
@@ -218,7 +222,7 @@ TEST(VoxelSample, HasOnePointInEachVoxel) {
   const auto floor_div = [](int64_t a, int64_t b) {
     return a / b - (a % b < 0 ? 1 : 0);
   };
-  for (const int64_t edge : {1, 7, 100, 333}) {
+  for (const int64_t edge : {1, 7, 43, 100, 333}) {
     std::map<std::array<int64_t, 3>, Points> voxels;
     for (const LatticePoint& q : DistinctPoints(cloud.positions)) {
       voxels[{floor_div(q.x, edge), floor_div(q.y, edge), floor_div(q.z, edge)}]
@@ -227,7 +231,7 @@ TEST(VoxelSample, HasOnePointInEachVoxel) {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
         const CloudSample sample,
         Sample(cloud, {.method = SampleMethod::kVoxel,
-                       .cell_edge_m = static_cast<double>(edge) * 1e-3}));
+                       .cell_edge_m = static_cast<double>(edge) / 1000}));
     EXPECT_EQ(sample.cloud.size(), voxels.size());
     for (const LatticePoint& c : sample.cloud.positions) {
       const std::array<int64_t, 3> key = {
@@ -250,20 +254,22 @@ TEST(VoxelSample, HasOnePointInEachVoxel) {
 }
 
 TEST(VoxelSample, WorksWithCentimetresOnTenKilometres) {
-  // 10^18 voxels; in each that is occupied there are two points.
-  LatticeCloud cloud = testing::VolumeCloud(20000, 5000, 7);
+  // Of 10^18 voxels some that are a multiple of 2^12 apart along each axis, so
+  // that any number for them of less than 60 bits would be that of others too.
+  LatticeCloud cloud = testing::VolumeCloud(20000, 0.127, 7);
   for (LatticePoint& q : cloud.positions) {
-    q = {q.x / 10 * 10, q.y / 10 * 10, q.z / 10 * 10};
+    q = {q.x * 40960, q.y * 40960, q.z * 40960};
   }
+  const size_t voxel_count = DistinctPoints(cloud.positions).size();
   cloud = testing::Concatenated(cloud, testing::Shifted(cloud, {9, 9, 9}));
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(
       const CloudSample sample,
       Sample(cloud, {.method = SampleMethod::kVoxel,
                      .cell_edge_m = 0.01,
                      .representative = Representative::kFirst}));
-  EXPECT_EQ(sample.cloud.size(), 20000u);
+  EXPECT_EQ(sample.cloud.size(), voxel_count);
   for (const LatticePoint& q : sample.cloud.positions) {
-    EXPECT_TRUE(q.x % 10 == 0 && q.y % 10 == 0 && q.z % 10 == 0);
+    EXPECT_TRUE(q.x % 40960 == 0 && q.y % 40960 == 0 && q.z % 40960 == 0);
   }
 }
 
@@ -369,6 +375,46 @@ TEST(SampleSurfaces, NormalsAreThoseOfTheSurfaceAndOfUnitLength) {
   }
   // Parts that lie over the ridge; medians cut there but for a few.
   EXPECT_LT(on_ridge, static_cast<int>(sample.normals.size()) / 10);
+}
+
+TEST(SampleSurfaces, NormalsAreTheAxesOfLeastSpreadOfNoisyPoints) {
+  const Points positions = SceneAroundTheOrigin(2500, 11);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const SurfaceSample sample,
+      SampleSurfaces(positions, int64_t{1} << 40, 20, Representative::kNearest,
+                     0, {}));
+  Cells parts;
+  AddParts(positions, 20, parts);
+  std::map<LatticePoint, const Points*> part_of;
+  for (const Points& part : parts) {
+    for (const LatticePoint& q : part) part_of[q] = &part;
+  }
+  ASSERT_EQ(sample.normals.size(), parts.size());
+  for (size_t i = 0; i < sample.normals.size(); ++i) {
+    const Points& part = *part_of.at(positions[sample.points.rows[i]]);
+    // n² times the covariance, in exact integers.
+    const auto n = static_cast<int64_t>(part.size());
+    LatticePoint sum;
+    std::array<int64_t, 6> products{};
+    for (const LatticePoint& q : part) {
+      sum = {sum.x + q.x, sum.y + q.y, sum.z + q.z};
+      const std::array<int64_t, 6> of_point = {q.x * q.x, q.x * q.y, q.x * q.z,
+                                               q.y * q.y, q.y * q.z, q.z * q.z};
+      for (size_t e = 0; e < 6; ++e) products[e] += n * of_point[e];
+    }
+    const auto entry = [&](size_t e, int64_t a, int64_t b) {
+      return static_cast<double>(products[e] - a * b);
+    };
+    const testing::EigenSystem3 axes =
+        testing::Decompose({entry(0, sum.x, sum.x), entry(1, sum.x, sum.y),
+                            entry(2, sum.x, sum.z), entry(3, sum.y, sum.y),
+                            entry(4, sum.y, sum.z), entry(5, sum.z, sum.z)});
+    if (axes.values[1] < 1.01 * axes.values[2]) continue;
+    const Vector3 expected = WithCanonicalSign(axes.vectors[2]);
+    for (size_t a = 0; a < 3; ++a) {
+      EXPECT_NEAR(sample.normals[i][a], expected[a], 1e-9);
+    }
+  }
 }
 
 TEST(SampleSurfaces, ALineHasNoNormal) {

@@ -348,7 +348,7 @@ TEST(Sampler, StopsWhenAsked) {
   std::stop_source stop;
   stop.request_stop();
   const LatticeCloud cloud = testing::SceneCloud(9000, 2, 9);
-  for (const SamplerOptions& options : WithCounts(5000)) {
+  for (const SamplerOptions& options : Both(5000)) {
     if (options.method == SampleMethod::kRandom) continue;
     SCOPED_TRACE(NameOf(options));
     EXPECT_THAT(Sample(cloud, options, {.stop = stop.get_token()}),
