@@ -10,6 +10,7 @@
 namespace mapsieve::client {
 namespace {
 
+using core::Dot;
 using core::Label;
 using core::Point3;
 using core::Vector3;
@@ -18,10 +19,6 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kCell = Ground::kCellSize;
 /// Ground this much lower at a border than the ray is rounding, not a kerb.
 constexpr double kKerbTolerance = 1e-6;
-
-double Dot(const Vector3& a, const Vector3& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
 
 double Height(const HalfSpace& face, const Point3& p) {
   return face.normal[0] * p.x + face.normal[1] * p.y + face.normal[2] * p.z -

@@ -8,6 +8,7 @@
 
 #include "core/base/status.h"
 #include "core/geometry/octahedral.h"
+#include "core/registration/label_covariance.h"
 #include "core/spdf/cloud_filter.h"
 #include "server/engine/field_error.h"
 #include "server/engine/product_chunk.h"
@@ -38,8 +39,6 @@ constexpr std::array<std::string_view, 3> kSaliencyNames = {
     "saliency_surface", "saliency_curve", "saliency_junction"};
 constexpr std::array<std::string_view, 6> kCovarianceNames = {
     "cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz"};
-/// Variance across a shape; along it it is 1.
-constexpr float kVarianceAcross = 0.001f;
 
 bool HasFilterColumn(const ColumnSelection& c) {
   return c.label || c.confidence || c.normal || c.tangent || c.eigenvalues ||
@@ -63,14 +62,6 @@ size_t AppendColumns(const std::vector<ColumnSpec>& specs, size_t size,
   const size_t first = answer.size();
   for (const ColumnSpec& spec : specs) answer.emplace_back(spec, size);
   return first;
-}
-
-/// The upper triangle, by rows, of `isotropic` I + `along` v v^T.
-std::array<float, 6> Triangle(float isotropic, float along,
-                              const std::array<float, 3>& v) {
-  const auto& [x, y, z] = v;
-  return {isotropic + along * x * x, along * x * y, along * x * z,
-          isotropic + along * y * y, along * y * z, isotropic + along * z * z};
 }
 
 }  // namespace
@@ -213,22 +204,11 @@ void AnswerColumns::AddCovariance() {
             FindProductColumn(chunk.attributes, kTangentColumn,
                               ScalarType::kUint32));
         const size_t first = AppendColumns(specs, rows.size(), answer);
-        const auto covariance = [&](uint32_t row) -> std::array<float, 6> {
-          switch (labels.label(row)) {
-            case core::Label::kSurface:
-              return Triangle(
-                  1, kVarianceAcross - 1,
-                  core::DecodeOctahedral(normal->Get<uint32_t>(row)));
-            case core::Label::kCurve:
-              return Triangle(
-                  kVarianceAcross, 1 - kVarianceAcross,
-                  core::DecodeOctahedral(tangent->Get<uint32_t>(row)));
-            default:
-              return {1, 0, 0, 1, 0, 1};
-          }
-        };
         for (size_t i = 0; i < rows.size(); ++i) {
-          const std::array<float, 6> values = covariance(rows[i]);
+          const core::Covariance values = core::LabelCovariance(
+              labels.label(rows[i]),
+              core::DecodeOctahedral(normal->Get<uint32_t>(rows[i])),
+              core::DecodeOctahedral(tangent->Get<uint32_t>(rows[i])));
           for (size_t c = 0; c < values.size(); ++c) {
             answer[first + c].Set(i, values[c]);
           }

@@ -14,10 +14,6 @@ using testing::EigenSystem3;
 using testing::SmallestEigenvalue;
 using testing::Symmetric3;
 
-double Dot(const Vector3& a, const Vector3& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
 Vector3 RandomUnit(std::mt19937_64& random) {
   std::normal_distribution<double> normal;
   const Vector3 v = {normal(random), normal(random), normal(random)};

@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-#include <random>
 
 #include "core/cloud/merge_duplicates.h"
 #include "core/sampling/random_sample.h"
 #include "core/spdf/cloud_filter.h"
+#include "tests/testing/random.h"
 
 namespace mapsieve::testing {
 namespace {
@@ -30,22 +30,6 @@ double TargetDensity(const IdealShapeOptions& options) {
          (UnitBallVolume(options.dimension) *
           std::pow(options.radius_m, options.dimension));
 }
-
-/// Numbers that are the same with every standard library.
-class Random {
- public:
-  explicit Random(uint64_t seed) : random_(seed) {}
-  double Uniform(double low, double high) {
-    return low + (high - low) * static_cast<double>(random_() >> 11) * 0x1p-53;
-  }
-  double Normal() {
-    return std::sqrt(-2 * std::log(1 - Uniform(0, 1))) *
-           std::cos(Uniform(0, 2 * std::numbers::pi));
-  }
-
- private:
-  std::mt19937_64 random_;
-};
 
 /// Rows of a random rotation, from a unit quaternion.
 void DrawAxes(Random& random, double (&axes)[3][3]) {
