@@ -11,7 +11,7 @@
 #include "client/formats/occupancy_file.h"
 #include "client/lab/render.h"
 #include "client/lab/simulate.h"
-#include "core/spdf/spdf_options.h"
+#include "core/sampling/sampler_options.h"
 
 /// The commands of the program, without their parsing: each takes its options,
 /// does its work and prints its result.
@@ -149,19 +149,19 @@ absl::Status RunDelete(const CommonOptions& common, const std::string& map,
 struct SampleCommand {
   std::string input;
   std::string output;
-  /// "spdf", "spatial-spdf" or "random".
-  std::string method = "spdf";
-  core::SpdfOptions options;
+  core::SamplerOptions sampler;
   /// Lattice step in map units.
   double step = 0.001;
-  /// Required by spatial-spdf and random.
-  int64_t max_points = 0;
-  bool centroids = false;
   int threads = 1;
   std::vector<std::string> column_names;
-  /// Folder of a report on both density rules; empty: none. Of spdf alone.
+  /// Folder of a report on both density rules; empty: none. Of spdf alone,
+  /// without max_points.
   std::string report;
+
+  /// kInvalidArgument.
+  absl::Status Validate() const;
 };
+/// Of a valid command.
 absl::Status RunSample(const CommonOptions& common,
                        const SampleCommand& command);
 

@@ -13,9 +13,7 @@
 #include "client/formats/point_file.h"
 #include "core/base/executor.h"
 #include "core/base/status.h"
-#include "core/cloud/merge_duplicates.h"
-#include "core/sampling/random_sample.h"
-#include "core/sampling/spatial_budget.h"
+#include "core/sampling/sampler.h"
 #include "core/spdf/cloud_filter.h"
 
 namespace mapsieve::client {
@@ -40,41 +38,18 @@ class Stopwatch {
 };
 
 struct Sample {
-  core::LatticeCloud cloud;
-  /// Left after the rounds, outliers included; of random, the sample's size.
-  int64_t after_rounds = 0;
-  core::LabelCounts label_counts{};
+  core::CloudSample of_cloud;
   core::RefusedCounts refused;
-  /// From points in file order to labelled points, all of it.
+  /// Of methods without rounds: the sample's size.
+  int64_t points_after_rounds = 0;
+  /// From points in file order to the sample, all of it.
   double filter_s = 0;
   std::optional<FilterReport> report;
 };
 
-/// Keeps those of `filtered` that the budget chooses, with centroids in place
-/// of the points if they are asked for.
-absl::StatusOr<core::LatticeCloud> UnderBudget(
-    const core::LatticeCloud& cloud, const core::FilteredCloud& filtered,
-    const SampleCommand& command) {
-  std::vector<core::LatticePoint> positions;
-  for (const uint32_t row : filtered.rows) {
-    positions.push_back(cloud.positions[row]);
-  }
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const core::BudgetSample sample,
-      core::SampleUnderBudget(positions, filtered.columns.label,
-                              command.max_points));
-  std::vector<uint32_t> kept_rows;
-  for (const uint32_t i : sample.rows) kept_rows.push_back(filtered.rows[i]);
-  core::LatticeCloud kept = core::MakeLabeledCloud(
-      cloud, kept_rows, filtered.columns.Select(sample.rows));
-  if (command.centroids) {
-    for (size_t i = 0; i < kept.size(); ++i) {
-      kept.positions[i] = {std::llrint(sample.centroids[i].x),
-                           std::llrint(sample.centroids[i].y),
-                           std::llrint(sample.centroids[i].z)};
-    }
-  }
-  return kept;
+core::Lattice LatticeOf(const SampleCommand& command) {
+  return core::Lattice(
+      static_cast<int64_t>(std::nearbyint(command.step * 1e9)));
 }
 
 absl::StatusOr<Sample> TakeSample(core::PointCloud input,
@@ -82,47 +57,28 @@ absl::StatusOr<Sample> TakeSample(core::PointCloud input,
                                   Executor& executor) {
   Sample sample;
   Stopwatch stopwatch;
-  const core::Lattice lattice(
-      static_cast<int64_t>(std::nearbyint(command.step * 1e9)));
-  const core::LatticeCloud cloud =
-      core::Quantize(std::move(input), lattice, sample.refused, executor);
-  if (command.method == "random") {
-    const core::LatticeCloud distinct =
-        cloud.Select(core::MergeDuplicates(cloud, executor));
-    sample.cloud = distinct.Select(core::RandomSample(
-        distinct.positions, command.max_points, command.options.seed));
-    sample.after_rounds = static_cast<int64_t>(sample.cloud.size());
-    sample.label_counts[0] = sample.after_rounds;
-    sample.filter_s = stopwatch.Lap();
-    return sample;
-  }
-  Stopwatch filter_alone;
-  core::FilteredCloud filtered;
+  const core::LatticeCloud cloud = core::Quantize(
+      std::move(input), LatticeOf(command), sample.refused, executor);
+  const double quantize_s = stopwatch.Lap();
   {
     ProgressBar bar("sample", "visits");
     MAPSIEVE_ASSIGN_OR_RETURN(
-        filtered, core::FilterCloud(cloud, command.options,
-                                    {.executor = &executor, .progress = &bar}));
+        sample.of_cloud,
+        core::Sample(cloud, command.sampler,
+                     {.executor = &executor, .progress = &bar}));
   }
-  const double filter_alone_s = filter_alone.Lap();
-  sample.after_rounds = filtered.summary.survivor_count;
-  const core::FilteredCloud kept =
-      filtered.WithoutOutliers(command.options.outlier_share);
-  if (command.method == "spatial-spdf") {
-    MAPSIEVE_ASSIGN_OR_RETURN(sample.cloud, UnderBudget(cloud, kept, command));
-  } else {
-    sample.cloud = core::MakeLabeledCloud(cloud, kept.rows, kept.columns);
-  }
-  const core::Column& labels = *sample.cloud.attributes.Find("label");
-  for (size_t i = 0; i < labels.size(); ++i) {
-    ++sample.label_counts[labels.Get<uint8_t>(i)];
-  }
-  sample.filter_s = stopwatch.Lap();
+  const double sample_s = stopwatch.Lap();
+  sample.filter_s = RoundSeconds(quantize_s + sample_s);
+  const std::optional<core::FilteredCloud>& filtered = sample.of_cloud.filtered;
+  sample.points_after_rounds =
+      filtered.has_value() ? filtered->summary.survivor_count
+                           : static_cast<int64_t>(sample.of_cloud.rows.size());
   if (!command.report.empty()) {
     MAPSIEVE_ASSIGN_OR_RETURN(
-        sample.report, CompareRules(cloud, std::move(filtered), filter_alone_s,
-                                    command.options, executor));
+        sample.report, CompareRules(cloud, *std::move(sample.of_cloud.filtered),
+                                    sample_s, command.sampler.spdf, executor));
   }
+  sample.of_cloud.filtered.reset();
   return sample;
 }
 
@@ -142,12 +98,21 @@ absl::StatusOr<int64_t> Copy(PointReader& reader, PointWriter& writer,
 
 }  // namespace
 
+absl::Status SampleCommand::Validate() const {
+  if (!(step >= 1e-9 && step <= 1)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--step is ", step, "; it must be 1e-9 to 1"));
+  }
+  if (!report.empty() &&
+      (sampler.method != core::SampleMethod::kSpdf || sampler.max_points > 0)) {
+    return absl::InvalidArgumentError(
+        "--report needs --method spdf without --max-points");
+  }
+  return sampler.Validate(LatticeOf(*this));
+}
+
 absl::Status RunSample(const CommonOptions& common,
                        const SampleCommand& command) {
-  if (!(command.step >= 1e-9 && command.step <= 1)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--step is ", command.step, "; it must be 1e-9 to 1"));
-  }
   Stopwatch stopwatch;
   const ReadOptions read_options = {.column_names = command.column_names};
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<PointReader> reader,
@@ -160,17 +125,24 @@ absl::Status RunSample(const CommonOptions& common,
   const std::unique_ptr<Executor> workers = MakeWorkerPool(command.threads);
   MAPSIEVE_ASSIGN_OR_RETURN(const Sample sample,
                             TakeSample(std::move(input), command, *workers));
+  const core::CloudSample& chosen = sample.of_cloud;
+  core::LabelCounts label_counts{};
+  for (const core::Label label : chosen.columns.label) {
+    ++label_counts[static_cast<size_t>(label)];
+  }
   stopwatch.Lap();
   MAPSIEVE_RETURN_IF_ERROR(WritePointFile(
-      command.output, core::ToPointCloud(sample.cloud),
-      {.coordinate_step = sample.cloud.lattice.step(), .crs_wkt = crs}));
+      command.output, core::ToPointCloud(chosen.cloud),
+      {.coordinate_step = chosen.cloud.lattice.step(), .crs_wkt = crs}));
   Json result = {
+      {"method", std::string(core::SampleMethodName(command.sampler.method))},
+      {"parameter", chosen.parameter},
       {"points_in", points_in},
       {"refused_non_finite_count", sample.refused.non_finite},
       {"refused_out_of_lattice_count", sample.refused.out_of_lattice},
-      {"points_after_rounds", sample.after_rounds},
-      {"points_out", sample.cloud.size()},
-      {"label_counts", LabelCountsJson(sample.label_counts)},
+      {"points_after_rounds", sample.points_after_rounds},
+      {"points_out", chosen.cloud.size()},
+      {"label_counts", LabelCountsJson(label_counts)},
       {"read_s", read_s},
       {"filter_s", sample.filter_s},
       {"write_s", stopwatch.Lap()},

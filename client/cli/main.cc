@@ -53,6 +53,21 @@ CLI::Option* AddRuleOption(CLI::App& command, std::string& rule) {
       ->check(CLI::IsMember({"paper", "quota"}));
 }
 
+/// An option that takes one of some words, each of which means a value.
+template <typename Value, typename Field>
+CLI::Option* AddChoice(CLI::App& command, const char* name,
+                       const std::map<std::string, Value>& choices,
+                       Field& field, const char* help) {
+  return command
+      .add_option_function<std::string>(
+          name,
+          [choices, &field](const std::string& word) {
+            field = choices.at(word);
+          },
+          help)
+      ->check(CLI::IsMember(choices));
+}
+
 void AddCreate(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<CreateCommand>();
   CLI::App* command = app.add_subcommand("create", "Create an empty map");
@@ -454,26 +469,63 @@ void AddMapCommands(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+/// The parameters of the methods of `sample`, one of which `max_points` finds.
+void AddSamplerOptions(CLI::App& command, core::SamplerOptions& sampler) {
+  std::map<std::string, core::SampleMethod> methods;
+  for (const core::SampleMethod method : core::kSampleMethods) {
+    methods[std::string(core::SampleMethodName(method))] = method;
+  }
+  AddChoice(command, "--method", methods, sampler.method, "Default spdf");
+  command
+      .add_option("--max-points", sampler.max_points,
+                  "Points wanted: exactly so many or all, of voxel and spdf "
+                  "the nearest count below; in place of the parameter. "
+                  "Needed by nss, covs and spatial-spdf")
+      ->check(CLI::PositiveNumber);
+  command.add_option("--keep-probability", sampler.keep_probability,
+                     "Of random, up to 1");
+  command.add_option("--max-density", sampler.max_density,
+                     "Of max-density: points per cubic map unit");
+  command.add_option("--max-cell-points", sampler.max_cell_points,
+                     "Of ss-normal and octree: fuller cells are divided");
+  command.add_option("--cell-edge", sampler.cell_edge_m,
+                     "Of voxel, in map units; of octree: cells of this edge "
+                     "are not divided");
+  CLI::Option* representative = AddChoice(
+      command, "--representative",
+      std::map<std::string, core::Representative>{
+          {"first", core::Representative::kFirst},
+          {"random", core::Representative::kRandom},
+          {"centroid", core::Representative::kCentroid},
+          {"medoid", core::Representative::kNearest},
+          {"nearest", core::Representative::kNearest}},
+      sampler.representative,
+      "Of a cell, default: octree first, voxel centroid, ss-normal and "
+      "spatial-spdf nearest (to the centroid), which is the medoid");
+  command
+      .add_flag_callback(
+          "--centroids",
+          [&sampler] {
+            sampler.representative = core::Representative::kCentroid;
+          },
+          "The same as --representative centroid")
+      ->excludes(representative);
+}
+
 void AddSample(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<SampleCommand>();
   auto rule = std::make_shared<std::string>();
-  CLI::App* command =
-      app.add_subcommand("sample", "Filter a file in memory, without a server");
+  core::SamplerOptions& sampler = options->sampler;
+  CLI::App* command = app.add_subcommand(
+      "sample", "Filter or sample a file in memory, without a server");
   command->add_option("INPUT", options->input, "LAS, PCD, PLY, CSV, XYZ, VTK")
       ->required();
   command->add_option("-o,--output", options->output, "LAS, PCD, PLY or CSV")
       ->required();
-  command->add_option("--method", options->method, "Default spdf")
-      ->check(CLI::IsMember({"spdf", "spatial-spdf", "random"}));
-  command
-      ->add_option("--max-points", options->max_points,
-                   "Points wanted; of the methods spatial-spdf and random")
-      ->check(CLI::PositiveNumber);
-  command->add_flag("--centroids", options->centroids,
-                    "Of spatial-spdf: centroids instead of points");
+  AddSamplerOptions(*command, sampler);
   command->add_option("--step", options->step,
                       "Edge of a lattice cell in map units, default 0.001");
-  AddFilterOptions(*command, options->options);
+  AddFilterOptions(*command, sampler.spdf);
   AddRuleOption(*command, *rule);
   options->threads =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
@@ -484,18 +536,17 @@ void AddSample(CLI::App& app, const CommonOptions& common, Run& run) {
                       "report.json, density and saliencies as .svg and .png");
   AddColumnsOption(*command, options->column_names);
   command->callback([=, &common, &run] {
-    if (*rule == "quota") options->options.rule = core::DensityRule::kQuota;
-    const bool budget = options->method != "spdf";
-    if (budget != (options->max_points > 0)) {
+    core::SamplerOptions& given = options->sampler;
+    if (*rule == "quota") given.spdf.rule = core::DensityRule::kQuota;
+    if (given.method == core::SampleMethod::kSpdf && given.max_points > 0 &&
+        command->count("--rho") > 0) {
       throw CLI::ValidationError(
-          budget ? "--method " + options->method + " needs --max-points"
-                 : "--max-points needs --method spatial-spdf or random");
+          "method spdf takes --max-points or --rho, "
+          "not both");
     }
-    if (options->centroids && options->method != "spatial-spdf") {
-      throw CLI::ValidationError("--centroids needs --method spatial-spdf");
-    }
-    if (budget && !options->report.empty()) {
-      throw CLI::ValidationError("--report needs --method spdf");
+    const absl::Status valid = options->Validate();
+    if (!valid.ok()) {
+      throw CLI::ValidationError(std::string(valid.message()));
     }
     run = [=, &common] { return RunSample(common, *options); };
   });

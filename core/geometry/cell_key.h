@@ -93,6 +93,22 @@ struct CellKeyLess {
   }
 };
 
+/// The end of the cell of `level` that begins at `begin`, of points [begin,
+/// end) in Morton order. `point(i)` gives them.
+template <typename Index, typename PointAt>
+Index CellEnd(Index begin, Index end, int level, const PointAt& point) {
+  const CellKey key = CellKey::Of(point(begin), level);
+  for (Index low = begin + 1; low < end;) {
+    const Index middle = low + (end - low) / 2;
+    if (CellKey::Of(point(middle), level) == key) {
+      low = middle + 1;
+    } else {
+      end = middle;
+    }
+  }
+  return end;
+}
+
 struct CellKeyHash {
   size_t operator()(const CellKey& key) const {
     uint64_t h = static_cast<uint64_t>(key.level);

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "core/base/hash.h"
+#include "core/geometry/point_hash.h"
 
 namespace mapsieve::core {
 
@@ -12,9 +12,7 @@ std::vector<uint32_t> RandomSample(std::span<const LatticePoint> positions,
   std::vector<std::pair<uint64_t, uint32_t>> draws;
   draws.reserve(positions.size());
   for (uint32_t i = 0; i < positions.size(); ++i) {
-    const LatticePoint& q = positions[i];
-    const int64_t key[4] = {q.x, q.y, q.z, seed};
-    draws.emplace_back(HashIntegers(key), i);
+    draws.emplace_back(PointHash(positions[i], seed), i);
   }
   const auto kept =
       std::min(static_cast<size_t>(std::max<int64_t>(count, 0)), draws.size());
@@ -24,6 +22,15 @@ std::vector<uint32_t> RandomSample(std::span<const LatticePoint> positions,
   rows.reserve(kept);
   for (size_t i = 0; i < kept; ++i) rows.push_back(draws[i].second);
   std::sort(rows.begin(), rows.end());
+  return rows;
+}
+
+std::vector<uint32_t> RandomShare(std::span<const LatticePoint> positions,
+                                  double probability, int64_t seed) {
+  std::vector<uint32_t> rows;
+  for (uint32_t i = 0; i < positions.size(); ++i) {
+    if (PointDraw(positions[i], seed) < probability) rows.push_back(i);
+  }
   return rows;
 }
 

@@ -15,6 +15,11 @@ namespace mapsieve::core {
 std::vector<uint32_t> RandomSample(std::span<const LatticePoint> positions,
                                    int64_t count, int64_t seed);
 
+/// The rows, ascending, of the points whose draw, a hash of (coordinates,
+/// seed), falls below `probability`: of what RandomSample orders, the first.
+std::vector<uint32_t> RandomShare(std::span<const LatticePoint> positions,
+                                  double probability, int64_t seed);
+
 }  // namespace mapsieve::core
 
 #endif  // MAPSIEVE_CORE_SAMPLING_RANDOM_SAMPLE_H_

@@ -3,31 +3,14 @@
 #include <algorithm>
 #include <array>
 #include <numeric>
-#include <queue>
+#include <utility>
+#include <vector>
 
 #include "core/base/status.h"
 #include "core/geometry/morton.h"
 
 namespace mapsieve::core {
 namespace {
-
-/// Some milliseconds.
-constexpr int64_t kStepsBetweenStops = 4096;
-
-/// A cell, as the range of one label's points that it holds.
-struct Cell {
-  uint32_t begin;
-  uint32_t end;
-};
-
-/// The fuller cell first, of equal ones the first in Morton order.
-struct SplitsLater {
-  bool operator()(const Cell& a, const Cell& b) const {
-    const uint32_t size_a = a.end - a.begin;
-    const uint32_t size_b = b.end - b.begin;
-    return size_a != size_b ? size_a < size_b : a.begin > b.begin;
-  }
-};
 
 /// Shares `budget` out to the labels in proportion to their points.
 std::array<int64_t, kLabelCount> ShareBudget(const LabelCounts& counts,
@@ -100,42 +83,9 @@ std::array<int64_t, kLabelCount> ShareByWeights(const LabelCounts& counts,
   }
 }
 
-/// The point of `cell` nearest to its centroid, the first of equals.
-void TakeRepresentative(std::span<const LatticePoint> positions,
-                        std::span<const uint32_t> rows, const Cell& cell,
-                        BudgetSample& sample) {
-  const LatticePoint& corner = positions[rows[cell.begin]];
-  Point3 mean;
-  for (uint32_t i = cell.begin; i < cell.end; ++i) {
-    const LatticePoint& q = positions[rows[i]];
-    mean.x += static_cast<double>(q.x - corner.x);
-    mean.y += static_cast<double>(q.y - corner.y);
-    mean.z += static_cast<double>(q.z - corner.z);
-  }
-  const auto count = static_cast<double>(cell.end - cell.begin);
-  mean = {mean.x / count, mean.y / count, mean.z / count};
-  double best = -1;
-  uint32_t best_row = 0;
-  for (uint32_t i = cell.begin; i < cell.end; ++i) {
-    const LatticePoint& q = positions[rows[i]];
-    const double dx = static_cast<double>(q.x - corner.x) - mean.x;
-    const double dy = static_cast<double>(q.y - corner.y) - mean.y;
-    const double dz = static_cast<double>(q.z - corner.z) - mean.z;
-    const double d2 = dx * dx + dy * dy + dz * dz;
-    if (best < 0 || d2 < best || (d2 == best && q < positions[best_row])) {
-      best = d2;
-      best_row = rows[i];
-    }
-  }
-  sample.rows.push_back(best_row);
-  sample.centroids.push_back({static_cast<double>(corner.x) + mean.x,
-                              static_cast<double>(corner.y) + mean.y,
-                              static_cast<double>(corner.z) + mean.z});
-}
-
 }  // namespace
 
-absl::StatusOr<BudgetSample> SampleUnderBudget(
+absl::StatusOr<CellSample> SampleUnderBudget(
     std::span<const LatticePoint> positions, std::span<const Label> labels,
     int64_t budget, const std::optional<LabelWeights>& weights,
     std::stop_token stop) {
@@ -153,46 +103,33 @@ absl::StatusOr<BudgetSample> SampleUnderBudget(
   const auto shares = weights.has_value()
                           ? ShareByWeights(counts, *weights, budget)
                           : ShareBudget(counts, budget);
-  int64_t done = 0;
-  const auto is_stopped = [&] {
-    return ++done % kStepsBetweenStops == 0 && stop.stop_requested();
-  };
-
-  BudgetSample sample;
+  // Cells of all labels, as parts of `order`.
+  std::vector<uint32_t> order;
+  std::vector<CellRange> cells;
+  order.reserve(positions.size());
   for (size_t l = 0; l < kLabelCount; ++l) {
     if (shares[l] == 0) continue;
-    std::vector<uint32_t> rows;
-    rows.reserve(static_cast<size_t>(counts[l]));
+    const auto first = static_cast<uint32_t>(order.size());
     for (uint32_t i = 0; i < labels.size(); ++i) {
-      if (static_cast<size_t>(labels[i]) == l) rows.push_back(i);
+      if (static_cast<size_t>(labels[i]) == l) order.push_back(i);
     }
-    std::priority_queue<Cell, std::vector<Cell>, SplitsLater> cells;
-    cells.push({0, static_cast<uint32_t>(rows.size())});
-    while (static_cast<int64_t>(cells.size()) < shares[l]) {
-      if (is_stopped()) return absl::CancelledError("cancelled");
-      const Cell cell = cells.top();
-      cells.pop();
-      const uint32_t split = MortonSplit(
-          cell.begin, cell.end, [&](uint32_t i) { return positions[rows[i]]; });
-      cells.push({cell.begin, split});
-      cells.push({split, cell.end});
-    }
-    for (; !cells.empty(); cells.pop()) {
-      if (is_stopped()) return absl::CancelledError("cancelled");
-      TakeRepresentative(positions, rows, cells.top(), sample);
+    const std::span<const uint32_t> rows = std::span(order).subspan(first);
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        const std::vector<CellRange> of_label,
+        SplitFullest(
+            static_cast<uint32_t>(rows.size()), shares[l], 1,
+            [&](const CellRange& cell) {
+              return MortonSplit(cell.begin, cell.end, [&](uint32_t i) {
+                return positions[rows[i]];
+              });
+            },
+            stop));
+    for (const CellRange& cell : of_label) {
+      cells.push_back({first + cell.begin, first + cell.end});
     }
   }
-  std::vector<uint32_t> order(sample.rows.size());
-  std::iota(order.begin(), order.end(), uint32_t{0});
-  std::sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) {
-    return sample.rows[a] < sample.rows[b];
-  });
-  BudgetSample sorted;
-  for (const uint32_t i : order) {
-    sorted.rows.push_back(sample.rows[i]);
-    sorted.centroids.push_back(sample.centroids[i]);
-  }
-  return sorted;
+  return RepresentCells(positions, order, cells, Representative::kNearest, 0,
+                        {.stop = std::move(stop)});
 }
 
 }  // namespace mapsieve::core

@@ -6,21 +6,13 @@
 #include <optional>
 #include <span>
 #include <stop_token>
-#include <vector>
 
 #include "absl/status/statusor.h"
 #include "core/geometry/lattice.h"
+#include "core/sampling/cells.h"
 #include "core/spdf/labels.h"
 
 namespace mapsieve::core {
-
-/// Points chosen under a budget.
-struct BudgetSample {
-  /// Rows of the input, ascending.
-  std::vector<uint32_t> rows;
-  /// For each row, the mean of the points that it stands for, in steps.
-  std::vector<Point3> centroids;
-};
 
 /// Shares of a budget by label, in proportion. 0 to kMaxLabelWeight.
 using LabelWeights = std::array<double, kLabelCount>;
@@ -39,7 +31,7 @@ inline constexpr double kMaxLabelWeight = 1e6;
 /// kInvalidArgument: unequal lengths, a negative budget; kCancelled: `stop`,
 /// looked at every few milliseconds. Cost O(N log N).
 /// Source: Labussière et al. 2020, section on Spatial SpDF.
-absl::StatusOr<BudgetSample> SampleUnderBudget(
+absl::StatusOr<CellSample> SampleUnderBudget(
     std::span<const LatticePoint> positions, std::span<const Label> labels,
     int64_t budget, const std::optional<LabelWeights>& weights = std::nullopt,
     std::stop_token stop = {});

@@ -75,15 +75,7 @@ std::vector<MemoryTile> MakeMemoryTiles(size_t size, const PointAt& point,
   std::vector<MemoryTile> tiles;
   for (size_t begin = 0; begin < size;) {
     const CellKey key = CellKey::Of(point(begin), level);
-    size_t end = size;
-    for (size_t low = begin + 1; low < end;) {
-      const size_t middle = low + (end - low) / 2;
-      if (CellKey::Of(point(middle), level) == key) {
-        low = middle + 1;
-      } else {
-        end = middle;
-      }
-    }
+    const size_t end = CellEnd(begin, size, level, point);
     tiles.push_back({key, begin, end});
     begin = end;
   }

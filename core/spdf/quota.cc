@@ -4,7 +4,7 @@
 #include <array>
 #include <utility>
 
-#include "core/base/hash.h"
+#include "core/geometry/point_hash.h"
 #include "core/spdf/integer_root.h"
 #include "core/spdf/spdf_options.h"
 
@@ -53,9 +53,7 @@ QuotaPriorities::QuotaPriorities(const PointIndex& index, int64_t seed,
 }
 
 uint64_t QuotaPriorities::Hash(uint32_t i) const {
-  const LatticePoint q = index_.Position(i);
-  const int64_t key[4] = {q.x, q.y, q.z, seed_};
-  return HashIntegers(key);
+  return PointHash(index_.Position(i), seed_);
 }
 
 bool QuotaPriorities::IsBetter(uint32_t a, uint32_t b) const {

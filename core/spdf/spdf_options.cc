@@ -39,13 +39,17 @@ std::string_view DensityRuleName(DensityRule rule) {
   return rule == DensityRule::kQuota ? "quota" : "paper";
 }
 
-absl::Status SpdfOptions::Validate(const Lattice& lattice) const {
-  if (neighbor_count < kMinNeighborCount ||
-      neighbor_count > kMaxNeighborCount) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("neighbor_count is ", neighbor_count, "; it must be ",
-                     kMinNeighborCount, " to ", kMaxNeighborCount));
+absl::Status CheckNeighborCount(int count) {
+  if (count >= kMinNeighborCount && count <= kMaxNeighborCount) {
+    return absl::OkStatus();
   }
+  return absl::InvalidArgumentError(
+      absl::StrCat("neighbor_count is ", count, "; it must be ",
+                   kMinNeighborCount, " to ", kMaxNeighborCount));
+}
+
+absl::Status SpdfOptions::Validate(const Lattice& lattice) const {
+  MAPSIEVE_RETURN_IF_ERROR(CheckNeighborCount(neighbor_count));
   // Negated comparisons refuse NaN too.
   if (!(vote_scale_m2 > 0) || !std::isfinite(vote_scale_m2)) {
     return absl::InvalidArgumentError(absl::StrCat(

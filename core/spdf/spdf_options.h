@@ -58,6 +58,9 @@ inline constexpr int kMinNeighborCount = 6;
 inline constexpr int kMaxNeighborCount = 127;
 inline constexpr int kMaxRoundCount = 15;
 
+/// kInvalidArgument unless SpdfOptions::neighbor_count may be `count`.
+absl::Status CheckNeighborCount(int count);
+
 /// SpdfOptions as the integers and floats that the filter computes with.
 struct SpdfConstants {
   int neighbor_count = 0;

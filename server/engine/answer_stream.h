@@ -72,7 +72,7 @@ class AnswerStream {
   /// without the chunks of `missing`, those that stay; null: all. Everything
   /// outlives the stream. Without a choice damaged chunks are added to
   /// `missing`, with one they are kDataLoss.
-  AnswerStream(const AnswerSource& source, const core::BudgetSample* choice,
+  AnswerStream(const AnswerSource& source, const core::CellSample* choice,
                MissingChunks& missing)
       : source_(source),
         choice_(choice),
@@ -107,7 +107,7 @@ class AnswerStream {
   core::LatticeCloud PendingPoints(size_t begin, size_t count) const;
 
   const AnswerSource& source_;
-  const core::BudgetSample* const choice_;
+  const core::CellSample* const choice_;
   MissingChunks& missing_;
   ChunkWalk walk_;
   bool is_walked_ = false;

@@ -261,7 +261,7 @@ class RegionQuery final : public QueryCursor {
       choice_bytes_ = bytes;
     }
     MAPSIEVE_ASSIGN_OR_RETURN(
-        const core::BudgetSample sample,
+        const core::CellSample sample,
         core::SampleUnderBudget(candidates.positions, candidates.labels, count,
                                 label_weights_, source_.stop));
     std::vector<std::pair<uint32_t, size_t>> rows;
@@ -355,7 +355,7 @@ class RegionQuery final : public QueryCursor {
   QueryHeader header_;
   MissingChunks missing_;
   /// Under a budget: what was chosen, its memory, and what there was, by label.
-  core::BudgetSample choice_;
+  core::CellSample choice_;
   int64_t choice_bytes_ = 0;
   core::LabelCounts available_{};
   /// Nothing before the first batch.

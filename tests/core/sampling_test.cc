@@ -38,7 +38,7 @@ TEST(SampleUnderBudget, GivesExactlyTheBudgetOrEverything) {
   for (const int64_t budget : {int64_t{0}, int64_t{1}, int64_t{2}, int64_t{7},
                                int64_t{100}, total - 1, total, total + 50}) {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
-        const BudgetSample sample,
+        const CellSample sample,
         SampleUnderBudget(scene.positions, scene.labels, budget));
     EXPECT_EQ(static_cast<int64_t>(sample.rows.size()),
               std::min(budget, total));
@@ -54,7 +54,7 @@ TEST(SampleUnderBudget, KeepsTheSharesOfTheLabels) {
   LabelCounts before{};
   for (const Label label : scene.labels) ++before[static_cast<size_t>(label)];
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(
-      const BudgetSample sample,
+      const CellSample sample,
       SampleUnderBudget(scene.positions, scene.labels, 1000));
   LabelCounts after{};
   for (const uint32_t row : sample.rows) {
@@ -79,7 +79,7 @@ TEST(SampleUnderBudget, WeightsGiveTheSharesThatLabelsCanFill) {
          {int64_t{0}, int64_t{1}, int64_t{2}, int64_t{1000}, total / 2,
           total - 1, total, total + 9}) {
       MAPSIEVE_ASSERT_OK_AND_ASSIGN(
-          const BudgetSample sample,
+          const CellSample sample,
           SampleUnderBudget(scene.positions, scene.labels, budget, weights));
       LabelCounts shares{};
       for (const uint32_t row : sample.rows) {
@@ -114,7 +114,7 @@ TEST(SampleUnderBudget, TakesThePointNearestToTheCentroidOfItsCell) {
   const std::vector<LatticePoint> positions =
       DistinctPoints(testing::VolumeCloud(300, 1, 3).positions);
   const std::vector<Label> labels(positions.size(), Label::kCurve);
-  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const BudgetSample sample,
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const CellSample sample,
                                 SampleUnderBudget(positions, labels, 1));
   Point3 mean;
   for (const LatticePoint& q : positions) {
@@ -138,7 +138,7 @@ TEST(SampleUnderBudget, SpreadsAUniformSurfaceEvenly) {
   const std::vector<LatticePoint> positions =
       DistinctPoints(testing::PlaneCloud(40000, 2, 4).positions);
   const std::vector<Label> labels(positions.size(), Label::kSurface);
-  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const BudgetSample sample,
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const CellSample sample,
                                 SampleUnderBudget(positions, labels, 1600));
   std::array<int, 16> per_quarter{};
   for (const uint32_t row : sample.rows) {

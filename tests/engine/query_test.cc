@@ -529,7 +529,7 @@ TEST_F(RegionQueryTest, BudgetIsWhatTheSamplerChooses) {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer answer,
                                   workshop_->Query({.max_points = budget}));
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
-        const core::BudgetSample sample,
+        const core::CellSample sample,
         core::SampleUnderBudget(sorted.positions, labels, budget));
     EXPECT_EQ(answer.summary.point_count, std::min(budget, available));
     EXPECT_LE(answer.header.candidate_point_count, budget);
