@@ -454,6 +454,7 @@ double SamplingCost(SampleMethod method) {
       return 1.5;
     case SampleMethod::kNss:
     case SampleMethod::kCovs:
+    case SampleMethod::kMaxDensity:
       return 1.5;
     default:
       return 0.4;
@@ -494,6 +495,8 @@ absl::StatusOr<double> EstimateEvaluation(const EvaluationOptions& options,
   const double vote_s = Seconds(start);
   // One registration of each kind of a sample that costs nothing.
   constexpr int64_t kProbeCount = 1000;
+  // Larger clouds have deeper trees and take more steps.
+  constexpr double kIcpGrowth = 1.2;
   EvaluationOptions probe = options;
   probe.trial_count = 1;
   const Cell probe_cell = {
@@ -512,7 +515,8 @@ absl::StatusOr<double> EstimateEvaluation(const EvaluationOptions& options,
     if (cells[i].count > size) continue;
     total_s += vote_s * SamplingCost(cells[i].method.sampler) +
                icp_s * options.trial_count *
-                   static_cast<double>(cells[i].count) / kProbeCount;
+                   std::pow(static_cast<double>(cells[i].count) / kProbeCount,
+                            kIcpGrowth);
   }
   return total_s / executor.worker_count();
 }

@@ -65,9 +65,10 @@ struct Trial {
   double icp_s = 0;
 };
 
-/// How long RunEvaluation will take, in seconds, from what a second of work on
-/// the first pair takes on this machine; good to a factor of two. `first` is
-/// the number of registrations that are done already.
+/// How long RunEvaluation will take, in seconds, judged by the first pair that
+/// is not done: roughly, and if the machine does as much else as it does now.
+/// `first` is the number of registrations that are done already (CountDone).
+/// Errors: those of EvaluationOptions::Validate and of PairSource::load.
 absl::StatusOr<double> EstimateEvaluation(const EvaluationOptions& options,
                                           std::span<const PairSource> pairs,
                                           int64_t first, Executor& executor);
