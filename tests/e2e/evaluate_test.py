@@ -133,14 +133,16 @@ class Evaluate(unittest.TestCase):
         self.assertEqual(trials.read_bytes(), whole)
 
     def test_estimates_without_a_run(self):
-        few, full = (mapsieve("evaluate", "-o", self.work / "none",
-                              "--estimate", *options)
-                     for options in (self.options(),
-                                     ("--rotations", 1, "--full")))
+        few, full, part = (mapsieve("evaluate", "-o", self.work / "none",
+                                    "--estimate", *options)
+                           for options in (
+                               self.options(), ("--rotations", 1, "--full"),
+                               ("--rotations", 1, "--trials", 3, "--full")))
         self.assertEqual(few["registrations"], self.printed["registrations"])
-        # 109 pairs, 8 counts, 11 methods, 2 ICP, 313 trials; options beside
-        # --full count.
-        self.assertEqual(full["registrations"], 109 * 8 * 11 * 2 * 313)
+        # 109 pairs, 8 counts, 11 methods, 2 ICP; options beside it count.
+        of_a_trial = 109 * 8 * 11 * 2
+        self.assertEqual(full["registrations"], of_a_trial * 313)
+        self.assertEqual(part["registrations"], of_a_trial * 3)
         self.assertGreater(full["estimated_s"], 1000 * few["estimated_s"])
         self.assertFalse((self.work / "none").exists())
 
