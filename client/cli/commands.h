@@ -9,8 +9,10 @@
 #include "client/api/map_types.h"
 #include "client/cli/query_arguments.h"
 #include "client/formats/occupancy_file.h"
+#include "client/lab/evaluation.h"
 #include "client/lab/render.h"
 #include "client/lab/simulate.h"
+#include "client/lab/simulated_pair.h"
 #include "core/sampling/sampler_options.h"
 
 /// The commands of the program, without their parsing: each takes its options,
@@ -192,6 +194,24 @@ struct SimulateCommand {
 };
 absl::Status RunSimulate(const CommonOptions& common,
                          const SimulateCommand& command);
+
+struct EvaluateCommand {
+  std::string output;
+  EvaluationOptions options;
+  SimulatedPairOptions simulated;
+  /// Lists of pairs, and the folder of their files (ReadPairList).
+  std::vector<std::string> pair_lists;
+  std::string pair_folder;
+  int threads = 1;
+  /// Prints how long it will take, and does no more.
+  bool only_estimate = false;
+
+  /// kInvalidArgument.
+  absl::Status Validate() const;
+};
+/// Of a valid command. Goes on where a broken one in the same folder stopped.
+absl::Status RunEvaluate(const CommonOptions& common,
+                         const EvaluateCommand& command);
 
 }  // namespace mapsieve::client
 

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <functional>
@@ -629,6 +630,103 @@ void AddSimulate(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+/// A comma-separated list of words, each of which means a value.
+template <typename Value>
+CLI::Option* AddChoices(CLI::App& command, const char* name,
+                        const std::map<std::string, Value>& choices,
+                        std::vector<Value>& field, const char* help) {
+  return command
+      .add_option_function<std::vector<std::string>>(
+          name,
+          [choices, &field](const std::vector<std::string>& words) {
+            field.clear();
+            for (const std::string& word : words) {
+              field.push_back(choices.at(word));
+            }
+          },
+          help)
+      ->delimiter(',')
+      ->check(CLI::IsMember(choices));
+}
+
+void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<EvaluateCommand>();
+  auto simulated = std::make_shared<std::vector<int>>();
+  EvaluationOptions& evaluation = options->options;
+  CLI::App* command = app.add_subcommand(
+      "evaluate",
+      "Compare samplers by registration, on pairs of scans of known pose; "
+      "again after a break, it resumes");
+  command
+      ->add_option("-o,--output", options->output,
+                   "Folder for report.html, its figures, summary and trials")
+      ->required();
+  // Before the options that it sets: theirs come after it.
+  command->add_flag_callback(
+      "--full",
+      [options] {
+        options->simulated = {.pair_counts = {36, 36, 37},
+                              .rotation_count = 12};
+        options->options.counts = {1000,  2000,  5000,   10000,
+                                   20000, 50000, 100000, 200000};
+        options->options.trial_count = 313;
+      },
+      "The paper's size: 109 simulated pairs of dense scans, 1000 to 200000 "
+      "points, 2504 registrations of each pair and method; options beside it "
+      "count");
+  command->add_option("--pairs", options->pair_lists,
+                      "YAML list of pairs of files with their transforms; can "
+                      "be repeated");
+  command->add_option("--pairs-folder", options->pair_folder,
+                      "Where the lists' relative paths begin, default at the "
+                      "list");
+  command
+      ->add_option("--simulated", *simulated,
+                   "Pairs of rooms, streets and woods, default 5 5 5")
+      ->expected(3)
+      ->allow_extra_args(false);
+  command->add_option("--rotations", options->simulated.rotation_count,
+                      "Of the scanner, 32768 pulses each, for a simulated scan "
+                      "(1 to 32), default 2");
+  std::map<std::string, EvaluatedMethod> methods;
+  for (const EvaluatedMethod& method : EvaluatedMethods()) {
+    methods[method.name()] = method;
+  }
+  AddChoices(*command, "--methods", methods, evaluation.methods,
+             "Comma-separated, default all");
+  AddChoices(*command, "--icp",
+             std::map<std::string, core::IcpMethod>{
+                 {"point-to-plane", core::IcpMethod::kPointToPlane},
+                 {"plane-to-plane", core::IcpMethod::kPlaneToPlane}},
+             evaluation.icp_methods, "Comma-separated, default both");
+  command
+      ->add_option("--counts", evaluation.counts,
+                   "Points of a sample, ascending, comma-separated, default "
+                   "1000,2000,5000,10000")
+      ->delimiter(',');
+  command->add_option("--trials", evaluation.trial_count,
+                      "Starting poses of a pair, default 2");
+  command->add_option("--seed", evaluation.seed,
+                      "Changes starting poses and samples, default 1");
+  options->threads =
+      static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  command->add_option("--threads", options->threads, "Default: one a processor")
+      ->check(CLI::Range(1, 1024));
+  command->add_flag("--estimate", options->only_estimate,
+                    "Print how long it will take, and stop");
+  command->callback([=, &common, &run] {
+    if (!simulated->empty()) {
+      std::copy(simulated->begin(), simulated->end(),
+                options->simulated.pair_counts.begin());
+    }
+    const absl::Status valid = options->Validate();
+    if (!valid.ok()) {
+      throw CLI::ValidationError(std::string(valid.message()));
+    }
+    run = [=, &common] { return RunEvaluate(common, *options); };
+  });
+}
+
 int Main(int argc, char** argv) {
   CLI::App app(
       "mapsieve: compresses point-cloud maps to labeled surfaces, curves and "
@@ -659,6 +757,7 @@ int Main(int argc, char** argv) {
   AddConvert(app, common, run);
   AddRender(app, common, run);
   AddSimulate(app, common, run);
+  AddEvaluate(app, common, run);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -3,18 +3,15 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
-#include <memory>
 #include <string>
 #include <string_view>
-#include <system_error>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_format.h"
-#include "client/cli/gnuplot.h"
 #include "client/cli/output.h"
+#include "client/cli/plot_file.h"
 #include "client/cli/progress_bar.h"
-#include "client/formats/output_file.h"
 #include "core/base/status.h"
 
 namespace mapsieve::client {
@@ -307,30 +304,8 @@ std::string SaliencyScript(const FilterReport& report) {
   return script;
 }
 
-// Files -----------------------------------------------------------------------
-
-absl::Status WriteFile(const std::filesystem::path& path,
-                       std::string_view bytes) {
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<OutputFile> file,
-                            OutputFile::Create(path));
-  MAPSIEVE_RETURN_IF_ERROR(file->Append(bytes));
-  return file->Finish();
-}
-
-absl::Status WritePlot(const std::filesystem::path& folder,
-                       const std::string& name, const std::string& script) {
-  const std::pair<const char*, const char*> kTerminals[] = {
-      {".svg",
-       "svg size 1500,460 font \"DejaVu Sans,13\" background \"white\""},
-      {".png", "pngcairo size 1500,460 font \"DejaVu Sans,11\""}};
-  for (const auto& [extension, terminal] : kTerminals) {
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        const std::string picture,
-        RunGnuplot(absl::StrCat("set terminal ", terminal, "\n", script)));
-    MAPSIEVE_RETURN_IF_ERROR(WriteFile(folder / (name + extension), picture));
-  }
-  return absl::OkStatus();
-}
+// Runs
+// -------------------------------------------------------------------------
 
 absl::StatusOr<RuleRun> Run(const core::LatticeCloud& cloud,
                             const core::SpdfOptions& options,
@@ -375,16 +350,14 @@ absl::StatusOr<FilterReport> CompareRules(const core::LatticeCloud& cloud,
 
 absl::Status WriteReport(const FilterReport& report,
                          const std::filesystem::path& folder) {
-  std::error_code error;
-  std::filesystem::create_directories(folder, error);
-  if (error) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        folder.string(), ": cannot make this folder: ", error.message()));
-  }
+  MAPSIEVE_RETURN_IF_ERROR(MakeFolder(folder));
   MAPSIEVE_RETURN_IF_ERROR(
       WriteFile(folder / "report.json", ReportJson(report).dump(2) + "\n"));
-  MAPSIEVE_RETURN_IF_ERROR(WritePlot(folder, "density", DensityScript(report)));
-  return WritePlot(folder, "saliencies", SaliencyScript(report));
+  constexpr PlotSize kSize = {1500, 460};
+  MAPSIEVE_RETURN_IF_ERROR(
+      WritePlot(folder, "density", DensityScript(report), kSize).status());
+  return WritePlot(folder, "saliencies", SaliencyScript(report), kSize)
+      .status();
 }
 
 }  // namespace mapsieve::client

@@ -39,6 +39,7 @@ LIBRARIES = {
     "sqlite": (("sqlite3",), ("SQLite::", "PkgConfig::SQLITE")),
     "threads": ((), ("Threads::",)),
     "xxhash": (("xxhash.h", "xxh3.h"), ("PkgConfig::XXHASH",)),
+    "yaml": (("yaml-cpp/",), ("yaml-cpp",)),
     "zstd": (("zstd", "zdict.h"), ("PkgConfig::ZSTD",)),
 }
 
@@ -120,7 +121,7 @@ RULES = {
         never=LOGGING, targets=("core",)),
     "client/lab": Rule(
         ("core", "client/formats", "client/lab", "abseil"),
-        in_cc=("png", "freetype"), never=LOGGING),
+        in_cc=("png", "freetype", "yaml"), never=LOGGING),
     "client/cli": Rule(
         ("core", "client", "abseil", "cli11", "json", "posix")),
     "client/python": Rule(("core", "client", "abseil")),

@@ -1,0 +1,86 @@
+#include "client/lab/evaluation_options.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <limits>
+
+#include "absl/strings/str_cat.h"
+
+namespace mapsieve::client {
+namespace {
+
+using core::DensityRule;
+using core::IcpMethod;
+using core::SampleMethod;
+
+template <typename T>
+bool HasRepeats(const std::vector<T>& values) {
+  for (size_t i = 0; i < values.size(); ++i) {
+    if (std::find(values.begin(), values.begin() + static_cast<ptrdiff_t>(i),
+                  values[i]) != values.begin() + static_cast<ptrdiff_t>(i)) {
+      return true;
+    }
+  }
+  return false;
+}
+
+}  // namespace
+
+std::string EvaluatedMethod::name() const {
+  std::string name(core::SampleMethodName(sampler));
+  if (rule == DensityRule::kQuota) name += "-quota";
+  return name;
+}
+
+std::vector<EvaluatedMethod> EvaluatedMethods() {
+  std::vector<EvaluatedMethod> methods;
+  for (const SampleMethod sampler : core::kSampleMethods) {
+    methods.push_back({sampler});
+  }
+  methods.push_back({SampleMethod::kSpdf, DensityRule::kQuota});
+  methods.push_back({SampleMethod::kSpatialSpdf, DensityRule::kQuota});
+  return methods;
+}
+
+std::string_view IcpMethodName(IcpMethod method) {
+  return method == IcpMethod::kPointToPlane ? "point-to-plane"
+                                            : "plane-to-plane";
+}
+
+absl::Status EvaluationOptions::Validate() const {
+  const auto wrong = [](auto... parts) {
+    return absl::InvalidArgumentError(absl::StrCat(parts...));
+  };
+  if (methods.empty() || HasRepeats(methods)) {
+    return wrong("methods holds ", methods.size(),
+                 "; expected one at least, each once");
+  }
+  if (icp_methods.empty() || HasRepeats(icp_methods)) {
+    return wrong("icp_methods holds ", icp_methods.size(),
+                 "; expected one at least, each once");
+  }
+  for (size_t i = 0; i < counts.size(); ++i) {
+    const int64_t low = i == 0 ? 10 : counts[i - 1] + 1;
+    if (counts[i] < low) {
+      return wrong("counts holds ", counts[i], "; expected ", low, " or more");
+    }
+  }
+  if (counts.empty()) return wrong("counts is empty; expected one at least");
+  if (trial_count < 1 || trial_count > 1'000'000) {
+    return wrong("trial_count is ", trial_count, "; expected 1 to 1000000");
+  }
+  if (seed > static_cast<uint64_t>(std::numeric_limits<int64_t>::max())) {
+    return wrong("seed is ", seed, "; expected below 2^63");
+  }
+  if (!(max_translation_m >= 0 && max_translation_m <= 1000)) {
+    return wrong("max_translation_m is ", max_translation_m,
+                 "; expected 0 to 1000");
+  }
+  if (!(max_rotation_deg >= 0 && max_rotation_deg <= 180)) {
+    return wrong("max_rotation_deg is ", max_rotation_deg,
+                 "; expected 0 to 180");
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace mapsieve::client

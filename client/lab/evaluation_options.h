@@ -1,0 +1,57 @@
+#ifndef MAPSIEVE_CLIENT_LAB_EVALUATION_OPTIONS_H_
+#define MAPSIEVE_CLIENT_LAB_EVALUATION_OPTIONS_H_
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "core/registration/icp.h"
+#include "core/sampling/sampler_options.h"
+
+namespace mapsieve::client {
+
+/// A sampler as it is compared: those with a density rule once with each.
+struct EvaluatedMethod {
+  core::SampleMethod sampler = core::SampleMethod::kRandom;
+  core::DensityRule rule = core::DensityRule::kPaper;
+
+  /// The sampler's name, and "-quota" after it for that rule.
+  std::string name() const;
+
+  friend bool operator==(const EvaluatedMethod&,
+                         const EvaluatedMethod&) = default;
+};
+
+/// The paper's nine, then spdf and spatial-spdf with the rule quota.
+std::vector<EvaluatedMethod> EvaluatedMethods();
+
+/// "point-to-plane", "plane-to-plane".
+std::string_view IcpMethodName(core::IcpMethod method);
+
+struct EvaluationOptions {
+  /// One at least, each once.
+  std::vector<EvaluatedMethod> methods = EvaluatedMethods();
+  /// One at least, each once.
+  std::vector<core::IcpMethod> icp_methods = {core::IcpMethod::kPointToPlane,
+                                              core::IcpMethod::kPlaneToPlane};
+  /// Points that each scan is sampled to; one at least, ascending, 10 or more.
+  std::vector<int64_t> counts = {1000, 2000, 5000, 10000};
+  /// Starting poses of every pair, the same for all methods and counts; 1 to
+  /// 1000000.
+  int trial_count = 2;
+  /// Changes starting poses and samples; below 2^63.
+  uint64_t seed = 1;
+  /// Starting poses are this far from the truth at most, in a uniform direction
+  /// and about a uniform axis, by a uniform length and angle.
+  double max_translation_m = 0.5;
+  double max_rotation_deg = 20;
+
+  /// kInvalidArgument naming the field, its value and its limits.
+  absl::Status Validate() const;
+};
+
+}  // namespace mapsieve::client
+
+#endif  // MAPSIEVE_CLIENT_LAB_EVALUATION_OPTIONS_H_
