@@ -682,7 +682,7 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
                       "list");
   command
       ->add_option("--simulated", *simulated,
-                   "Pairs of rooms, streets and woods, default 5 5 5")
+                   "Pairs of rooms, streets and woods, default 15 15 15")
       ->expected(3)
       ->allow_extra_args(false);
   command->add_option("--rotations", options->simulated.rotation_count,

@@ -216,8 +216,7 @@ absl::StatusOr<SampledScan> SampleScan(const VotedScan& scan,
     result.normals.push_back({normal[0], normal[1], normal[2]});
     result.covariances.push_back(core::LabelCovariance(
         served.label[served_row],
-        core::DecodeOctahedral(served.normal[served_row]),
-        core::DecodeOctahedral(served.tangent[served_row])));
+        core::DecodeOctahedral(served.normal[served_row])));
   }
   return result;
 }

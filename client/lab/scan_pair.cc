@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <set>
+#include <system_error>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -93,6 +94,12 @@ absl::StatusOr<PairEntry> EntryOf(const YAML::Node& node,
   entry.reference = folder / reference;
   entry.reading = folder / reading;
   MAPSIEVE_ASSIGN_OR_RETURN(entry.T_reference_reading, TransformOf(node));
+  for (const auto& path : {entry.reference, entry.reading}) {
+    std::error_code ignored;
+    if (std::filesystem::is_regular_file(path, ignored)) continue;
+    return absl::NotFoundError(absl::StrCat("line ", node.Mark().line + 1, ": ",
+                                            path.string(), ": no such file"));
+  }
   return entry;
 }
 

@@ -64,7 +64,7 @@ struct PairSource {
 ///
 /// Paths are relative to `folder`, or to the list's own folder if that is
 /// empty. Files are read, on a lattice of 1 mm, when a pair is loaded.
-/// Errors: kNotFound: no such list; kInvalidArgument: it is not YAML, an entry
+/// Errors: kNotFound: no such list, or no such file of a pair; kInvalidArgument: it is not YAML, an entry
 /// is missing, unknown or wrong (its line is named), a name comes twice; those
 /// of Orthonormalized. Of `load`: those of ReadPointFile.
 absl::StatusOr<std::vector<PairSource>> ReadPairList(

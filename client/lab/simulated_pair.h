@@ -11,7 +11,7 @@ namespace mapsieve::client {
 /// Which simulated pairs an evaluation has.
 struct SimulatedPairOptions {
   /// Of kStructured, kSemiStructured and kUnstructured; 0 to 1000.
-  std::array<int, 3> pair_counts = {5, 5, 5};
+  std::array<int, 3> pair_counts = {15, 15, 15};
   /// Rotations of the scanner that make a scan, 1 to 32: each sends 32768
   /// pulses, at bearings of its own.
   int rotation_count = 2;
