@@ -121,8 +121,9 @@ class RegionQuery final : public QueryCursor {
     }
     int64_t chosen = max_candidates_;
     if (max_points_ > 0) chosen = std::min(chosen, max_points_);
-    if (max_bytes_ > 0)
+    if (max_bytes_ > 0) {
       chosen = std::min(chosen, max_bytes_ / kCheapPointBytes);
+    }
     choice_bytes_ = kChosenBytes * chosen;
     return memory_->Grow(
         answer_bytes + choice_bytes_ + kCandidateBytes * max_candidates_,

@@ -33,6 +33,9 @@ using storage::ReadSnapshot;
 
 /// Of a tile of the region: its key and the ids of its chunk, twice.
 constexpr int64_t kTileBytes = 256;
+/// Tiles whose memory is asked for together: only the first time does an answer
+/// wait for it, and few have more.
+constexpr size_t kTilesAtOnce = 1024;
 
 /// Exactly the lattice points of a tile: positions grow with coordinates.
 Box BoxOfTile(const CellKey& tile, const core::Lattice& lattice) {
@@ -97,8 +100,11 @@ class RegionSync final : public SyncCursor {
       for (const storage::TileSummary& tile : page) {
         if (stop_.stop_requested()) return absl::CancelledError("cancelled");
         if (region.has_value() && !region->Intersects(tile.bounds)) continue;
-        MAPSIEVE_RETURN_IF_ERROR(names_memory_.Grow(
-            kTileBytes, "naming the chunks of the region", stop_));
+        if (current.size() % kTilesAtOnce == 0) {
+          MAPSIEVE_RETURN_IF_ERROR(
+              names_memory_.Grow(kTilesAtOnce * kTileBytes,
+                                 "naming the chunks of the region", stop_));
+        }
         MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> chunks,
                                   snapshot_->ListTileChunks(kind(), tile.tile));
         std::string id = IdOf(tile.tile, chunks, common);

@@ -146,7 +146,8 @@ TEST_F(WatchTest, ADeletedMapIsNotFoundEvenIfItsNameIsTakenAgain) {
   EXPECT_THAT(watch.Finish(), StatusIs(Code::kNotFound, HasSubstr("campus")));
 
   MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
-  Watch second(*client_, "campus", 2);
+  Watch second(*client_, "campus", 1);
+  EXPECT_EQ(second.NextNumber(), 1);
   DeleteMap();
   MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
   EXPECT_FALSE(second.Next());
