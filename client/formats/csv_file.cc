@@ -69,10 +69,9 @@ bool IsNumberOrEmpty(std::string_view field) {
   return field.empty() || ParseNumber(field, value);
 }
 
-// Without the quotes that spreadsheets put around names, however many: a name
-// is then read as it is written.
+// Without the quotes that spreadsheets put around names.
 std::string_view Unquoted(std::string_view name) {
-  while (name.size() >= 2 && name.front() == '"' && name.back() == '"') {
+  if (name.size() >= 2 && name.front() == '"' && name.back() == '"') {
     name = name.substr(1, name.size() - 2);
   }
   return name;
@@ -426,11 +425,12 @@ absl::StatusOr<std::unique_ptr<PointWriter>> CreateCsvFile(
   std::vector<std::string> names;
   for (ColumnSpec& attribute : written) {
     for (char& c : attribute.name) {
-      const bool separates = separator == kBlanks
-                                 ? IsBlank(c)
-                                 : c == ',' || c == ';' || c == '\t' ||
-                                       c == '"' || c == '\n' || c == '\r';
-      if (separates) c = '_';
+      // Quotes would be taken off where the file is read.
+      const bool separates =
+          separator == kBlanks
+              ? IsBlank(c)
+              : c == ',' || c == ';' || c == '\t' || c == '\n' || c == '\r';
+      if (separates || c == '"') c = '_';
     }
     names.push_back(attribute.name);
   }
