@@ -20,7 +20,7 @@ using storage::ChunkRef;
 
 /// Of a stored chunk that is sent as it is: smaller ones are better put
 /// together.
-constexpr int64_t kMinStoredBlockBytes = kMaxBatchBytes / 16;
+constexpr int64_t kMinStoredBlockBytes = kMaxBatchBytes / 128;
 
 }  // namespace
 
