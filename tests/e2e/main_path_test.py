@@ -15,30 +15,15 @@ import sys
 import tempfile
 import unittest
 
-from programs import BIN, Server, run_command
+from programs import BIN, Server, ServedTest, run_command
 
 DATA = pathlib.Path(sys.argv[2]) if len(sys.argv) > 2 else None
 STEP = 0.001
 
 
-class MainPath(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.work = pathlib.Path(cls.folder.name)
-        cls.server = Server(cls.work / "data")
-
-    @classmethod
-    def tearDownClass(cls):
-        code = cls.server.stop()
-        cls.folder.cleanup()
-        assert code == 0, f"the server exited with {code} on SIGTERM"
-
+class MainPath(ServedTest):
     def run_command(self, *arguments):
         return self.server.run_command("--json", *arguments)
-
-    def mapsieve(self, *arguments):
-        return self.server.mapsieve(*arguments)
 
     def fails(self, *arguments, status=1, message=""):
         result = self.run_command(*arguments)

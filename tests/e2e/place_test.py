@@ -7,10 +7,9 @@ usage: place_test.py BIN_DIR [TEST_DATA]
 import pathlib
 import struct
 import sys
-import tempfile
 import unittest
 
-from programs import Server
+from programs import ServedTest
 
 DATA = pathlib.Path(sys.argv[2]) if len(sys.argv) > 2 else None
 
@@ -68,22 +67,7 @@ def header_of(path):
             return lines
 
 
-class Place(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.work = pathlib.Path(cls.folder.name)
-        cls.server = Server(cls.work / "data")
-
-    @classmethod
-    def tearDownClass(cls):
-        code = cls.server.stop()
-        cls.folder.cleanup()
-        assert code == 0, f"the server exited with {code} on SIGTERM"
-
-    def mapsieve(self, *arguments):
-        return self.server.mapsieve(*arguments)
-
+class Place(ServedTest):
     def upload(self, name, path):
         """The report of one file, and the codes of its warnings."""
         report = self.mapsieve("upload", name, path)["files"][0]

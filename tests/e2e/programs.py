@@ -9,6 +9,8 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
+import unittest
 
 BIN = pathlib.Path(sys.argv[1])
 
@@ -72,6 +74,25 @@ class Server:
 
     def mapsieve(self, *arguments):
         return mapsieve("--server", self.address, *arguments)
+
+
+class ServedTest(unittest.TestCase):
+    """Tests of a class share a folder, `work`, and a server."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.TemporaryDirectory()
+        cls.work = pathlib.Path(cls.folder.name)
+        cls.server = Server(cls.work / "data")
+
+    @classmethod
+    def tearDownClass(cls):
+        code = cls.server.stop()
+        cls.folder.cleanup()
+        assert code == 0, f"the server exited with {code} on SIGTERM"
+
+    def mapsieve(self, *arguments):
+        return self.server.mapsieve(*arguments)
 
 
 def lines_of(path):
