@@ -397,7 +397,7 @@ TEST_F(RegionQueryTest, PlainBlocksHoldTheSamePoints) {
 TEST(RegionQuery, ResumesBehindAnyBatchByteForByteFromItsRevision) {
   Workshop workshop(13);
   MAPSIEVE_ASSERT_OK(
-      workshop.Add(WideScene(15, 100), IngestLimits::Of(int64_t{64} << 20)));
+      workshop.Add(WideScene(15, 50), IngestLimits::Of(int64_t{64} << 20)));
   MAPSIEVE_ASSERT_OK(
       workshop.Process(SceneOptions(core::DensityRule::kQuota), kWideLimits));
   MemoryPool memory(1 << 28);
