@@ -29,7 +29,7 @@ mkdir -p "$results"
 
 # Syncs to a disk take most of the time of many tests: their files lie in memory
 # where there is enough of it.
-memory_mib=$(df --output=avail -B1M /dev/shm 2>/dev/null | tail -n 1)
+memory_mib=$(df --output=avail -B1M /dev/shm 2>/dev/null | tail -n 1) || true
 if [ "${memory_mib:-0}" -ge 8192 ]; then
   TMPDIR=$(mktemp -d /dev/shm/mapsieve-test.XXXXXX)
   export TMPDIR

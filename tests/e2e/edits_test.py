@@ -5,23 +5,19 @@ usage: edits_test.py BIN_DIR
 """
 
 import csv
-import pathlib
 import signal
 import sys
-import tempfile
 import unittest
 
-from programs import Server, mapsieve
+from programs import ServedTest, mapsieve
 
 STEP = 0.001
 
 
-class Edits(unittest.TestCase):
+class Edits(ServedTest):
     @classmethod
     def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.work = pathlib.Path(cls.folder.name)
-        cls.server = Server(cls.work / "data")
+        super().setUpClass()
         cls.source = cls.work / "scan.csv"
         mapsieve("simulate", cls.work / "scan.las", "--points", 40000)
         mapsieve("convert", cls.work / "scan.las", cls.source)
@@ -30,15 +26,6 @@ class Edits(unittest.TestCase):
         middle = sorted(cls.points, key=lambda p: float(p[0]))[20000]
         cls.center = [float(v) for v in middle[:3]]
         cls.radius = 12.0
-
-    @classmethod
-    def tearDownClass(cls):
-        code = cls.server.stop()
-        cls.folder.cleanup()
-        assert code == 0, f"the server exited with {code} on SIGTERM"
-
-    def mapsieve(self, *arguments):
-        return self.server.mapsieve(*arguments)
 
     def fails(self, *arguments, status=1, message=""):
         result = self.server.run_command(*arguments)

@@ -7,13 +7,11 @@ usage: evaluate_test.py BIN_DIR
 import csv
 import html.parser
 import json
-import pathlib
 import sys
-import tempfile
 import unittest
 import xml.etree.ElementTree
 
-from programs import mapsieve, run_command
+from programs import FolderTest, mapsieve, run_command
 
 METHODS = ("random", "spatial-spdf-quota")
 ICP = ("point-to-plane", "plane-to-plane")
@@ -34,11 +32,10 @@ class Page(html.parser.HTMLParser):
                        if name in ("src", "href", "xlink:href")]
 
 
-class Evaluate(unittest.TestCase):
+class Evaluate(FolderTest):
     @classmethod
     def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.work = pathlib.Path(cls.folder.name)
+        super().setUpClass()
         (cls.work / "scans").mkdir()
         mapsieve("simulate", cls.work / "scans/street.ply", "--points", 6000)
         (cls.work / "pairs.yaml").write_text(
@@ -47,10 +44,6 @@ class Evaluate(unittest.TestCase):
             "[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n")
         cls.report = cls.work / "report"
         cls.printed = mapsieve("evaluate", "-o", cls.report, *cls.options())
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.folder.cleanup()
 
     @classmethod
     def options(cls):

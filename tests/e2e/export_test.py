@@ -5,15 +5,13 @@ usage: export_test.py BIN_DIR
 """
 
 import math
-import pathlib
 import random
 import re
 import subprocess
 import sys
-import tempfile
 import unittest
 
-from programs import Server
+from programs import ServedTest
 
 EDGE = 0.25
 BOX = (-4, -4, -2, 3, 4, 2)
@@ -43,13 +41,10 @@ def voxels_of_vrml(path):
     return voxels
 
 
-class Export(unittest.TestCase):
+class Export(ServedTest):
     @classmethod
     def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.addClassCleanup(cls.folder.cleanup)
-        cls.work = pathlib.Path(cls.folder.name)
-        cls.server = cls.enterClassContext(Server(cls.work / "data"))
+        super().setUpClass()
         numbers = random.Random(4)
         cls.points = [tuple(round(numbers.uniform(-6, 6), 3) for _ in range(3))
                       for _ in range(4000)]

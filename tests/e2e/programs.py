@@ -76,20 +76,22 @@ class Server:
         return mapsieve("--server", self.address, *arguments)
 
 
-class ServedTest(unittest.TestCase):
-    """Tests of a class share a folder, `work`, and a server."""
+class FolderTest(unittest.TestCase):
+    """Tests of a class share a folder, `work`."""
 
     @classmethod
     def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.work = pathlib.Path(cls.folder.name)
-        cls.server = Server(cls.work / "data")
+        cls.work = pathlib.Path(
+            cls.enterClassContext(tempfile.TemporaryDirectory()))
+
+
+class ServedTest(FolderTest):
+    """They share a server too."""
 
     @classmethod
-    def tearDownClass(cls):
-        code = cls.server.stop()
-        cls.folder.cleanup()
-        assert code == 0, f"the server exited with {code} on SIGTERM"
+    def setUpClass(cls):
+        super().setUpClass()
+        cls.server = cls.enterClassContext(Server(cls.work / "data"))
 
     def mapsieve(self, *arguments):
         return self.server.mapsieve(*arguments)

@@ -9,26 +9,20 @@ import os
 import pathlib
 import subprocess
 import sys
-import tempfile
 import unittest
 import xml.etree.ElementTree
 
-from programs import BIN, mapsieve
+from programs import BIN, FolderTest, mapsieve
 
 PICTURES = ("density", "saliencies")
 
 
-class SampleReport(unittest.TestCase):
+class SampleReport(FolderTest):
     @classmethod
     def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.work = pathlib.Path(cls.folder.name)
+        super().setUpClass()
         cls.source = cls.work / "campus.las"
         mapsieve("simulate", cls.source, "--points", 60000)
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.folder.cleanup()
 
     def sample(self, name, *options, env=None):
         return subprocess.run(

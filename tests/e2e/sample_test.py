@@ -6,30 +6,23 @@ usage: sample_test.py BIN_DIR
 
 import csv
 import json
-import pathlib
 import subprocess
 import sys
-import tempfile
 import unittest
 
-from programs import BIN, mapsieve
+from programs import BIN, FolderTest, mapsieve
 
 METHODS = ("random", "max-density", "ss-normal", "octree", "voxel", "nss",
            "covs", "spdf", "spatial-spdf")
 VOTING = ("nss", "covs", "spdf", "spatial-spdf")
 
 
-class Sample(unittest.TestCase):
+class Sample(FolderTest):
     @classmethod
     def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.work = pathlib.Path(cls.folder.name)
+        super().setUpClass()
         cls.source = cls.work / "campus.las"
         mapsieve("simulate", cls.source, "--points", 20000)
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.folder.cleanup()
 
     def run_sample(self, *options):
         return subprocess.run(
