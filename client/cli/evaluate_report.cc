@@ -11,6 +11,7 @@
 
 #include "absl/strings/str_format.h"
 #include "client/cli/plot_file.h"
+#include "client/lab/distinct.h"
 #include "core/base/status.h"
 
 namespace mapsieve::client {
@@ -30,30 +31,17 @@ std::string IcpText(core::IcpMethod icp) {
   return std::string(IcpMethodName(icp));
 }
 
-/// Values of the summaries without repeats, in their order.
-template <typename Value, typename Get>
-std::vector<Value> Distinct(const Summaries& summaries, const Get& get) {
-  std::vector<Value> values;
-  for (const GroupSummary& summary : summaries) {
-    const Value value = get(summary);
-    if (std::find(values.begin(), values.end(), value) == values.end()) {
-      values.push_back(value);
-    }
-  }
-  return values;
-}
-
 std::vector<std::string> Methods(const Summaries& summaries) {
-  return Distinct<std::string>(summaries,
-                               [](const auto& s) { return s.method; });
+  return DistinctValues<std::string>(summaries,
+                                     [](const auto& s) { return s.method; });
 }
 std::vector<core::IcpMethod> IcpMethods(const Summaries& summaries) {
-  return Distinct<core::IcpMethod>(summaries,
-                                   [](const auto& s) { return s.icp; });
+  return DistinctValues<core::IcpMethod>(summaries,
+                                         [](const auto& s) { return s.icp; });
 }
 std::vector<std::optional<Environment>> Environments(
     const Summaries& summaries) {
-  return Distinct<std::optional<Environment>>(
+  return DistinctValues<std::optional<Environment>>(
       summaries, [](const auto& s) { return s.environment; });
 }
 

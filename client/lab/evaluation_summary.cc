@@ -7,6 +7,7 @@
 #include <numeric>
 #include <set>
 
+#include "client/lab/distinct.h"
 #include "client/lab/draws.h"
 
 namespace mapsieve::client {
@@ -154,19 +155,6 @@ void SummarizeMethods(const std::vector<Group>& groups,
   }
 }
 
-/// Values without repeats, in the order of their first coming.
-template <typename Value, typename Get>
-std::vector<Value> Distinct(std::span<const Trial> trials, const Get& get) {
-  std::vector<Value> values;
-  for (const Trial& trial : trials) {
-    const Value value = get(trial);
-    if (std::find(values.begin(), values.end(), value) == values.end()) {
-      values.push_back(value);
-    }
-  }
-  return values;
-}
-
 }  // namespace
 
 double Quantile(std::span<const double> sorted, double q) {
@@ -221,12 +209,12 @@ std::vector<double> BootstrapMedians(std::span<const double> values,
 }
 
 std::vector<GroupSummary> Summarize(std::span<const Trial> trials) {
-  const std::vector<std::string> methods = Distinct<std::string>(
+  const std::vector<std::string> methods = DistinctValues<std::string>(
       trials, [](const Trial& trial) { return trial.method; });
-  const std::vector<core::IcpMethod> icps = Distinct<core::IcpMethod>(
+  const std::vector<core::IcpMethod> icps = DistinctValues<core::IcpMethod>(
       trials, [](const Trial& trial) { return trial.icp; });
-  std::vector<int64_t> counts =
-      Distinct<int64_t>(trials, [](const Trial& trial) { return trial.count; });
+  std::vector<int64_t> counts = DistinctValues<int64_t>(
+      trials, [](const Trial& trial) { return trial.count; });
   std::sort(counts.begin(), counts.end());
   std::vector<std::optional<Environment>> environments(kEnvironments.begin(),
                                                        kEnvironments.end());

@@ -63,7 +63,7 @@ void ForEachPart(Executor& executor, size_t size, size_t part_size,
 class ProgressSink {
  public:
   virtual ~ProgressSink() = default;
-  /// `done` of `total` units of work are finished. Called from one thread.
+  /// `done` of `total` units of work are finished. One call at a time.
   virtual void Report(int64_t done, int64_t total) = 0;
 };
 

@@ -8,15 +8,13 @@
 #include "absl/status/statusor.h"
 #include "mapsieve/v1/map_service.pb.h"
 #include "mapsieve/v1/operations.pb.h"
-#include "mapsieve/v1/query_service.pb.h"
 #include "mapsieve/v1/types.pb.h"
 #include "mapsieve/v1/upload_service.pb.h"
-#include "server/engine/query.h"
-#include "server/engine/sync.h"
 #include "server/engine/types.h"
 #include "server/engine/verify.h"
 
-/// Messages to types of the engine and back. From a message: whatever the
+/// Messages to types of the engine and back; convert_query.h has regions and
+/// queries. From a message: whatever the
 /// message holds or lacks, the result is a value of the right form or
 /// kInvalidArgument with the path of the field; the engine checks the values.
 /// All functions are pure.
@@ -56,16 +54,6 @@ engine::MapSpec ToMapSpec(const v1::CreateMapRequest& request);
 absl::StatusOr<engine::UploadSpec> ToUploadSpec(
     const v1::CreateUploadRequest& request);
 absl::StatusOr<core::SpdfOptions> ToSpdfOptions(const v1::SpdfOptions& options);
-absl::StatusOr<engine::QuerySpec> ToQuerySpec(
-    const v1::QueryRegionRequest& request);
-absl::StatusOr<engine::SyncSpec> ToSyncSpec(
-    const v1::SyncRegionRequest& request);
-/// The region of a request; nothing if it has none.
-absl::StatusOr<std::optional<engine::RegionShape>> ToRegion(
-    const v1::FinalizeUploadRequest& request);
-/// kInvalidArgument also for a request without a region.
-absl::StatusOr<engine::RegionShape> ToRegion(
-    const v1::DeleteRegionRequest& request);
 
 /// The content of `data` after its checksum was compared. kInvalidArgument: no
 /// content, more than 1 MiB, no checksum; kDataLoss: another checksum.
@@ -80,10 +68,6 @@ v1::Revision ToProto(std::string_view map_id,
                      const engine::RevisionInfo& revision);
 v1::TileChange ToProto(const engine::TileChange& change);
 v1::DamagedChunk ToProto(const engine::DamagedChunk& chunk);
-v1::QuerySummary ToProto(const engine::QuerySummary& summary);
-v1::SyncHeader ToProto(const engine::SyncHeader& header);
-v1::SyncPart ToProto(const engine::SyncPart& part);
-v1::SyncSummary ToProto(const engine::SyncSummary& summary);
 v1::VerifyMapResponse ToProto(const engine::VerifyEvent& event);
 v1::VerifySummary ToProto(const engine::VerifySummary& summary);
 v1::Upload ToProto(std::string_view map_id, const engine::UploadInfo& upload);

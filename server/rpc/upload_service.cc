@@ -9,6 +9,7 @@
 #include "core/base/bytes.h"
 #include "core/base/status.h"
 #include "server/rpc/convert.h"
+#include "server/rpc/convert_query.h"
 
 namespace mapsieve::rpc {
 namespace {

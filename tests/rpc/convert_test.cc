@@ -8,6 +8,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "mapsieve/v1/processing_service.pb.h"
+#include "server/rpc/convert_query.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::rpc {
