@@ -90,7 +90,10 @@ class DocumentedErrorsTest : public ServiceTest {
   }
 
   // The server uses the file system of this object.
-  void TearDown() override { server_.reset(); }
+  void TearDown() override {
+    files_.Release();
+    server_.reset();
+  }
 
   // An upload `whole` of `point_count` points whose bytes are all there.
   void MakeWholeUpload(const std::string& map_id, int point_count = 1000) {
@@ -175,12 +178,11 @@ class DocumentedErrorsTest : public ServiceTest {
     return operation;
   }
 
-  // Processes maps/campus for as long as a test takes, until it is cancelled.
-  v1::Operation StartLongRun() {
-    MAPSIEVE_EXPECT_OK(client_->Upload("campus", "large", TestScene(150'000)));
+  // Processes maps/campus, but reads no chunk before files_.Release().
+  v1::Operation StartHeldRun() {
+    files_.Hold("/blobs/");
     return Start("ProcessingService.ProcessMap",
-                 "name: 'maps/campus' options { neighbor_count: 127 "
-                 "density_radius_m: 0.9 vote_scale_m2: 1 }");
+                 "name: 'maps/campus' options { density_radius_m: 0.9 }");
   }
 
   absl::Status Cancel(const v1::Operation& operation) {
@@ -215,7 +217,7 @@ TEST_F(DocumentedErrorsTest, OnAFullDisk) {
 
 TEST_F(DocumentedErrorsTest, WhileOperationsGoOn) {
   MakeWholeUpload("campus");
-  const v1::Operation run = StartLongRun();
+  const v1::Operation run = StartHeldRun();
   Start("MapService.RepairMap", "name: 'maps/campus'");
   Start("UploadService.FinalizeUpload", "name: 'maps/campus/uploads/whole'");
   ExpectAllFail(WhileOperationsGoOn());
@@ -224,17 +226,20 @@ TEST_F(DocumentedErrorsTest, WhileOperationsGoOn) {
 
 TEST_F(DocumentedErrorsTest, OperationsAreCancelled) {
   MakeWholeUpload("campus");
-  const v1::Operation run = StartLongRun();
+  const v1::Operation run = StartHeldRun();
   const std::vector<v1::Operation> waiting = {
       Start("UploadService.FinalizeUpload",
             "name: 'maps/campus/uploads/whole'"),
       Start("MapService.DeleteRegion",
             "name: 'maps/campus' sphere { center {} radius: 1 }"),
-      Start("MapService.RepairMap", "name: 'maps/campus'"), run};
+      Start("MapService.RepairMap", "name: 'maps/campus'")};
   for (const v1::Operation& operation : waiting) {
     MAPSIEVE_EXPECT_OK(Cancel(operation));
     EXPECT_THAT(client_->Wait(operation.name()), StatusIs(Code::kCancelled, _));
   }
+  MAPSIEVE_EXPECT_OK(Cancel(run));
+  files_.Release();
+  EXPECT_THAT(client_->Wait(run.name()), StatusIs(Code::kCancelled, _));
 }
 
 TEST_F(DocumentedErrorsTest, OperationsFailOnAFullDisk) {

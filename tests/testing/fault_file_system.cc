@@ -127,6 +127,19 @@ void FaultFileSystem::SetFreeBytes(int64_t bytes) {
   free_bytes_ = bytes;
 }
 
+void FaultFileSystem::Hold(const std::string& part) {
+  MutexLock lock(mutex_);
+  held_ = part;
+}
+
+void FaultFileSystem::Release() {
+  {
+    MutexLock lock(mutex_);
+    held_.reset();
+  }
+  released_.notify_all();
+}
+
 FaultFileSystem::Verdict FaultFileSystem::Judge(const char* kind) {
   MutexLock lock(mutex_);
   ++calls_[kind];
@@ -157,6 +170,12 @@ std::shared_ptr<FaultFileSystem::Node> FaultFileSystem::NodeOf(
 
 absl::StatusOr<std::unique_ptr<storage::File>> FaultFileSystem::Open(
     const std::string& path, storage::OpenMode mode) {
+  {
+    MutexLock lock(mutex_);
+    while (held_.has_value() && path.find(*held_) != std::string::npos) {
+      released_.wait(mutex_);
+    }
+  }
   std::unique_ptr<storage::File> file;
   std::shared_ptr<Node> node;
   const absl::Status status = Perform("open", [&]() -> absl::Status {

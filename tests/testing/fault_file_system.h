@@ -47,6 +47,10 @@ class FaultFileSystem final : public storage::FileSystem {
   /// FreeBytes answers this from now on.
   void SetFreeBytes(int64_t bytes);
 
+  /// Open of a path that contains `part` waits until Release is called.
+  void Hold(const std::string& part);
+  void Release();
+
   enum class Loss {
     /// Neither names nor bytes that were not synced survive.
     kEverything,
@@ -111,6 +115,8 @@ class FaultFileSystem final : public storage::FileSystem {
   std::string fault_kind_ ABSL_GUARDED_BY(mutex_);
   std::map<std::string, int64_t> calls_ ABSL_GUARDED_BY(mutex_);
   std::optional<int64_t> free_bytes_ ABSL_GUARDED_BY(mutex_);
+  std::optional<std::string> held_ ABSL_GUARDED_BY(mutex_);
+  ConditionVariable released_;
   Names names_ ABSL_GUARDED_BY(mutex_);
   Names durable_names_ ABSL_GUARDED_BY(mutex_);
 };
