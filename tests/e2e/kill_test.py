@@ -45,7 +45,7 @@ HEADER = "x,y,z,source"
 FIELD = 8000
 PATCH = 3000
 TILE_EDGE_M = 2
-# Points of a file more than its number: the count tells the file.
+# Points of a file more than its number: the count tells the file of a map.
 SMALLEST_FILE = 200
 # A map is replaced by a new one when it has more.
 MAX_POINTS = 10_000
@@ -81,7 +81,7 @@ class File:
             return tuple(p)
 
         self.points = tuple(point() for _ in range(SMALLEST_FILE + number))
-        self.path = folder / f"file{number}.csv"
+        self.path = folder / f"{number}.csv"
         write_points(self.path, {self: self.points})
 
 
@@ -126,8 +126,11 @@ def filter_options(row):
 class Map:
     """What is known of a map, and what follows from it."""
 
-    def __init__(self, name):
+    def __init__(self, name, folder):
         self.name = name
+        # Where its files are, by number.
+        self.folder = folder
+        self.files = {}
         self.is_given_up = False
         # Revisions as they were listed, and the points of each by file, of
         # which edits may have left none.
@@ -140,13 +143,13 @@ class Map:
         self.filtered = set()
         self.answers = {}
 
-    def follow(self, rows, files):
+    def follow(self, rows):
         """Takes in the list of revisions, which must go on from the last."""
         known = len(self.rows)
         assert rows[:known] == self.rows, \
             f"{self.name}: known revisions changed: {self.rows} {rows[:known]}"
         for row in rows[known:]:
-            self.follow_one(row, files)
+            self.follow_one(row)
         while self.acknowledged:
             revision, expected = self.acknowledged.popleft()
             assert revision <= len(rows), \
@@ -155,7 +158,7 @@ class Map:
             assert expected.items() <= row.items(), \
                 f"{self.name}: acknowledged {expected}, have {row}"
 
-    def follow_one(self, row, files):
+    def follow_one(self, row):
         number, kind = row["revision"], row["kind"]
         where = f"{self.name}: {row}"
         assert number == len(self.rows) + 1, where
@@ -169,7 +172,7 @@ class Map:
                 removed += len(points) - len(rest)
                 state[file] = rest
         if kind in ("upload", "replace-region"):
-            file = files.get(row["added_point_count"] - SMALLEST_FILE)
+            file = self.files.get(row["added_point_count"] - SMALLEST_FILE)
             assert file is not None, f"{where}: part of a file"
             assert file not in uploaded, f"{where}: twice in the map"
             added = len(file.points)
@@ -207,9 +210,7 @@ class World:
         self.kills = kills
         self.seed = seed
         self.numbers = random.Random(seed)
-        self.file_numbers = itertools.count(1)
         self.map_numbers = itertools.count(1)
-        self.files = {}
         self.bulk = work / "bulk.ply"
         self.bulk_log = work / "bulk.log"
         self.clients = []
@@ -294,14 +295,16 @@ class World:
             self.deleted.add(name)
 
     def make_map(self, numbers):
-        new = Map(f"map-{next(self.map_numbers)}")
-        self.create(numbers, new.name)
-        return new
+        name = f"map-{next(self.map_numbers)}"
+        folder = self.work / name
+        folder.mkdir()
+        self.create(numbers, name)
+        return Map(name, folder)
 
-    def new_file(self, numbers):
+    def new_file(self, numbers, map_):
         with self.changed:
-            file = File(self.work, next(self.file_numbers), numbers)
-            self.files[file.number] = file
+            file = File(map_.folder, len(map_.files) + 1, numbers)
+            map_.files[file.number] = file
             return file
 
     # Clients.
@@ -325,7 +328,7 @@ class World:
             if files and numbers.random() < 0.15:
                 file = numbers.choice(files)
             else:
-                file = self.new_file(numbers)
+                file = self.new_file(numbers, map_)
                 files.append(file)
             result = self.insist(numbers, "upload", map_.name, file.path,
                                  of=map_, excuses=(BUSY_UPLOAD,))
@@ -403,7 +406,7 @@ class World:
                  "removed_point_count": result["removed_point_count"]}))
 
     def replace_region(self, numbers, map_):
-        file = self.new_file(numbers)
+        file = self.new_file(numbers, map_)
         result = self.insist(numbers, "replace-region", map_.name, file.path,
                              *random_region(numbers), of=map_,
                              excuses=(BUSY_UPLOAD,))
@@ -448,7 +451,7 @@ class World:
         assert not self.deleted & names, f"back: {self.deleted & names}"
         for map_ in self.maps:
             rows = self.server.mapsieve("revisions", map_.name)["revisions"]
-            map_.follow(rows[::-1], self.files)
+            map_.follow(rows[::-1])
             self.check_points(map_)
         map_ = self.numbers.choice(self.maps)
         self.check_answer(map_, *self.numbers.choice(list(map_.answers)))
@@ -562,7 +565,7 @@ class World:
         self.raise_failures()
         for map_ in self.maps:
             # It may be new and empty.
-            file = self.new_file(self.numbers)
+            file = self.new_file(self.numbers, map_)
             self.server.mapsieve("upload", map_.name, file.path)
             self.server.mapsieve("process", map_.name, "--rho", 0.3)
         self.check()
