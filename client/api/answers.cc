@@ -1,6 +1,9 @@
 #include "client/api/answers.h"
 
+#include <cstddef>
+#include <deque>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -11,6 +14,7 @@
 #include "client/api/convert.h"
 #include "core/base/bytes.h"
 #include "core/base/status.h"
+#include "core/cloud/packed_columns.h"
 #include "core/codec/points_codec.h"
 
 namespace mapsieve::client {
@@ -20,6 +24,32 @@ namespace {
 /// before it; each further one is twice as long.
 constexpr int kResumes = 6;
 constexpr absl::Duration kFirstPause = absl::Milliseconds(100);
+
+/// The columns that packed ones of an answer stand for, and the others.
+std::vector<core::ColumnSpec> Unpacked(
+    const std::vector<core::ColumnSpec>& columns) {
+  std::vector<core::ColumnSpec> unpacked;
+  for (const core::ColumnSpec& spec : columns) {
+    for (core::ColumnSpec& plain : core::UnpackedSpecs(spec)) {
+      unpacked.push_back(std::move(plain));
+    }
+  }
+  return unpacked;
+}
+
+/// Unpacks the columns of a block.
+absl::Status Unpack(core::LatticeCloud& cloud) {
+  core::ColumnSet unpacked;
+  for (core::Column& column : cloud.attributes.columns()) {
+    std::vector<core::Column> plain;
+    core::Unpack(std::move(column), plain);
+    for (core::Column& one : plain) {
+      MAPSIEVE_RETURN_IF_ERROR(unpacked.Add(std::move(one)));
+    }
+  }
+  cloud.attributes = std::move(unpacked);
+  return absl::OkStatus();
+}
 
 /// Gives the points of a block every one of `columns`, in that order.
 absl::Status CompleteColumns(const std::vector<core::ColumnSpec>& columns,
@@ -110,6 +140,7 @@ class GrpcQueryStream final : public QueryStream {
  public:
   GrpcQueryStream(v1::QueryService::Stub& stub, const QuerySpec& spec)
       : stub_(stub), request_(ToProto(spec)) {
+    request_.set_packed_columns(true);
     Open();
   }
 
@@ -126,6 +157,7 @@ class GrpcQueryStream final : public QueryStream {
       return absl::DataLossError("the answer does not start with a header");
     }
     header_ = FromProto(response.header());
+    header_.columns = Unpacked(header_.columns);
     return absl::OkStatus();
   }
 
@@ -136,28 +168,35 @@ class GrpcQueryStream final : public QueryStream {
     core::LatticeCloud end{.lattice = core::Lattice(header_.step_nm)};
     if (finished_) return end;
     while (true) {
-      v1::QueryRegionResponse response;
-      if (!reader_->Read(&response)) {
+      if (!blocks_.empty()) {
+        MAPSIEVE_ASSIGN_OR_RETURN(core::LatticeCloud cloud,
+                                  core::DecodePoints(blocks_.front()));
+        blocks_.pop_front();
+        MAPSIEVE_RETURN_IF_ERROR(Unpack(cloud));
+        MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(header_.columns, cloud));
+        if (cloud.size() > 0) return cloud;
+        continue;
+      }
+      if (!reader_->Read(&response_)) {
         MAPSIEVE_RETURN_IF_ERROR(Resume(Broken()));
         continue;
       }
-      if (response.has_summary()) {
-        summary_ = FromProto(response.summary());
+      if (response_.has_summary()) {
+        summary_ = FromProto(response_.summary());
         finished_ = true;
         MAPSIEVE_RETURN_IF_ERROR(ToStatus(reader_->Finish()));
         return end;
       }
-      if (!response.has_batch()) {
+      if (!response_.has_batch()) {
         return absl::DataLossError(
             "a message of the answer is neither batch "
             "nor summary");
       }
       MAPSIEVE_ASSIGN_OR_RETURN(
-          core::LatticeCloud cloud,
-          core::DecodePoints(TextBytes(response.batch().block())));
-      MAPSIEVE_RETURN_IF_ERROR(CompleteColumns(header_.columns, cloud));
-      request_.set_resume_token(response.batch().resume_token());
-      if (cloud.size() > 0) return cloud;
+          const auto blocks,
+          core::SplitBlocks(TextBytes(response_.batch().block())));
+      blocks_.assign(blocks.begin(), blocks.end());
+      request_.set_resume_token(response_.batch().resume_token());
     }
   }
 
@@ -195,6 +234,9 @@ class GrpcQueryStream final : public QueryStream {
   v1::QueryService::Stub& stub_;
   /// With the token of the last batch.
   v1::QueryRegionRequest request_;
+  /// The last message, and its blocks that were not given yet.
+  v1::QueryRegionResponse response_;
+  std::deque<std::span<const std::byte>> blocks_;
   std::unique_ptr<grpc::ClientContext> context_;
   std::unique_ptr<grpc::ClientReader<v1::QueryRegionResponse>> reader_;
   QueryHeader header_;

@@ -22,6 +22,11 @@ inline constexpr size_t kLabelCount = 4;
 /// "none", "junction", "curve", "surface".
 std::string_view LabelName(Label label);
 
+/// A confidence as it is counted in 16 bits, as a number from 0 to 1.
+inline float ConfidenceValue(uint16_t confidence) {
+  return static_cast<float>(confidence) / 65535.0f;
+}
+
 using LabelCounts = std::array<int64_t, kLabelCount>;
 
 }  // namespace mapsieve::core

@@ -169,20 +169,23 @@ bool SuitsWidth(const EncodePlan::Entry& entry, size_t width) {
 }
 
 void AddToPlan(const ColumnSpec& spec, std::span<const std::byte> values,
-               Compression compression, PlanEntries& plan) {
+               Compression compression, PlanAim aim, PlanEntries& plan) {
   const size_t width = ScalarSize(spec.type);
   if (IsConstant(values, width)) return;
   const std::vector<std::byte> sample = Sample(values, width);
   std::vector<Trial> trials = TryAll(sample, width, compression);
   std::stable_sort(trials.begin(), trials.end());
   const size_t least = trials.front().bytes;
-  EncodePlan::Entry entry = {.value_bytes = static_cast<double>(least * width) /
-                                            static_cast<double>(sample.size())};
+  const double tolerance = aim == PlanAim::kSize ? 1.125 : 1.5;
+  EncodePlan::Entry entry = {
+      .max_value_bytes = tolerance * static_cast<double>(least * width) /
+                         static_cast<double>(sample.size())};
   for (const Trial& trial : trials) {
     // What is a little larger here may be smaller elsewhere.
     if (trial.bytes <= least + least / 16) {
       entry.transforms.push_back(trial.transform);
     }
+    if (aim == PlanAim::kSpeed) break;
   }
   plan.emplace(spec.name, std::move(entry));
 }
@@ -237,14 +240,12 @@ EncodedColumn EncodeColumn(const ColumnSpec& spec,
   if (plan != nullptr) {
     const auto found = plan->find(spec.name);
     if (found != plan->end() && SuitsWidth(found->second, width)) {
-      const auto& [transforms, value_bytes] = found->second;
+      const auto& [transforms, max_value_bytes] = found->second;
       const Transform transform =
           ChooseTransform(transforms, values, width, compression);
       EncodedColumn planned = encode(transform);
-      constexpr double kTolerance = 1.125;
       if (static_cast<double>(planned.stored.size()) <=
-          kTolerance * value_bytes *
-              static_cast<double>(values.size() / width)) {
+          max_value_bytes * static_cast<double>(values.size() / width)) {
         return planned;
       }
       const Transform best = ChooseTransform(values, width, compression);
@@ -542,17 +543,18 @@ absl::Status DecodePositions(const BlockHead& head,
 
 }  // namespace
 
-EncodePlan PlanEncoding(const LatticeCloud& cloud, Compression compression) {
+EncodePlan PlanEncoding(const LatticeCloud& cloud, Compression compression,
+                        PlanAim aim) {
   EncodePlan plan;
   const Bounds bounds = BoundsOf(cloud.positions);
   if (!MortonCodes(cloud.positions, bounds.max, MortonCorner(bounds.min))) {
     ForEachAxis(cloud.positions, bounds,
                 [&](const ColumnSpec& spec, auto values) {
-                  AddToPlan(spec, values, compression, plan.axes);
+                  AddToPlan(spec, values, compression, aim, plan.axes);
                 });
   }
   for (const Column& column : cloud.attributes.columns()) {
-    AddToPlan(column.spec(), column.bytes(), compression, plan.attributes);
+    AddToPlan(column.spec(), column.bytes(), compression, aim, plan.attributes);
   }
   return plan;
 }
@@ -599,6 +601,28 @@ absl::StatusOr<BlockHeader> ReadBlockHeader(std::span<const std::byte> bytes) {
   header.decoded_bytes =
       DecodedBytes(head.point_count, header.columns, with_missing);
   return header;
+}
+
+absl::StatusOr<std::vector<std::span<const std::byte>>> SplitBlocks(
+    std::span<const std::byte> bytes) {
+  std::vector<std::span<const std::byte>> blocks;
+  size_t offset = 0;
+  while (offset < bytes.size()) {
+    const auto rest = bytes.subspan(offset);
+    const auto misfit = [&](int64_t expected) {
+      return absl::DataLossError(absl::StrCat("point block at offset ", offset,
+                                              ": expected ", expected,
+                                              " bytes, have ", rest.size()));
+    };
+    if (rest.size() < kBlockPrefixBytes) return misfit(kBlockPrefixBytes);
+    MAPSIEVE_ASSIGN_OR_RETURN(const int64_t block_bytes, ReadBlockLength(rest));
+    if (static_cast<uint64_t>(block_bytes) > rest.size()) {
+      return misfit(block_bytes);
+    }
+    blocks.push_back(rest.first(static_cast<size_t>(block_bytes)));
+    offset += blocks.back().size();
+  }
+  return blocks;
 }
 
 namespace {

@@ -39,8 +39,8 @@ struct EncodePlan {
   struct Entry {
     /// At least one, the best for the cloud that the plan was made for first.
     std::vector<Transform> transforms;
-    /// What a value of that cloud takes.
-    double value_bytes = 0;
+    /// Of a value, somewhat more than in that cloud.
+    double max_value_bytes = 0;
   };
   /// Of the columns of positions, by axis; of points in Morton order there are
   /// none.
@@ -48,18 +48,23 @@ struct EncodePlan {
   std::map<std::string, Entry, std::less<>> attributes;
 };
 
+/// What a plan is for: blocks that stay, or such that are soon decoded. kSpeed
+/// has one transform a column, for blocks some percent larger.
+enum class PlanAim { kSize, kSpeed };
+
 /// The plan for clouds like `cloud`. Columns of one value are left out.
 /// Deterministic.
 EncodePlan PlanEncoding(const LatticeCloud& cloud,
-                        Compression compression = Compression::kLz4);
+                        Compression compression = Compression::kLz4,
+                        PlanAim aim = PlanAim::kSize);
 
 struct EncodeOptions {
   /// kZstd is smaller by a few percent and slower to write. kNone writes every
   /// column plain, for readers that know no transform: some four times larger.
   Compression compression = Compression::kLz4;
   /// Made for the same compression; outlives the call. All transforms are
-  /// tried on a column that the plan lacks or whose values take much more than
-  /// it says, as on all columns without a plan.
+  /// tried on a column that the plan lacks, or that takes more than it
+  /// says, as on all columns without a plan.
   const EncodePlan* plan = nullptr;
 };
 
@@ -100,6 +105,11 @@ inline constexpr size_t kBlockPrefixBytes = 16;
 /// The length of the block whose first kBlockPrefixBytes are `prefix`, at
 /// least kBlockPrefixBytes; kDataLoss if that is no block.
 absl::StatusOr<int64_t> ReadBlockLength(std::span<const std::byte> prefix);
+
+/// The blocks that fill `bytes`, back to back; kDataLoss: it is anything else,
+/// with the offset.
+absl::StatusOr<std::vector<std::span<const std::byte>>> SplitBlocks(
+    std::span<const std::byte> bytes);
 
 struct DecodeOptions {
   /// Attributes wanted; those the block lacks are left out. Nothing: all.

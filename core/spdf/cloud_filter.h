@@ -42,11 +42,6 @@ absl::StatusOr<FilteredCloud> FilterCloud(const LatticeCloud& cloud,
 inline constexpr std::array<std::string_view, 5> kLabelColumnNames = {
     "label", "confidence", "nx", "ny", "nz"};
 
-/// LabelColumns::confidence as MakeLabeledCloud gives it, 0 to 1.
-inline float ConfidenceValue(uint16_t confidence) {
-  return static_cast<float>(confidence) / 65535.0f;
-}
-
 /// The name of an input's attribute beside columns named `taken`:
 /// input_<name> if that is, without any "input_" before it, one of them; else
 /// the name itself. So different attributes never get the same name.

@@ -22,8 +22,6 @@ using core::ColumnSpec;
 using core::LatticeCloud;
 using core::ScalarType;
 
-constexpr std::array<std::string_view, 3> kNormalNames = {"nx", "ny", "nz"};
-constexpr std::array<std::string_view, 3> kTangentNames = {"tx", "ty", "tz"};
 constexpr std::array<std::string_view, 3> kLambdaNames = {"lambda1", "lambda2",
                                                           "lambda3"};
 
@@ -99,14 +97,16 @@ absl::StatusOr<AnswerColumns> AnswerColumns::Make(
     }
   }
   AnswerColumns columns;
-  columns.AddFilterColumns(selection);
+  columns.AddFilterColumns(selection, spec.packed_columns);
+  // Attributes have the same names beside packed columns.
+  AnswerColumns unpacked;
+  unpacked.AddFilterColumns(selection, false);
   std::vector<std::string_view> taken;
   if (!spec.raw) {
     taken.assign(core::kLabelColumnNames.begin(),
                  core::kLabelColumnNames.end());
   }
-  const std::vector<ColumnSpec> own = columns.specs_;
-  for (const ColumnSpec& column : own) taken.push_back(column.name);
+  for (const ColumnSpec& column : unpacked.specs_) taken.push_back(column.name);
   for (const ColumnSpec& attribute : attributes) {
     if (selection.all_attributes || wanted.contains(attribute.name)) {
       columns.AddAttribute(attribute, core::NameBeside(attribute.name, taken));
@@ -124,25 +124,14 @@ void AnswerColumns::Add(std::vector<ColumnSpec> specs,
   sources_.push_back(std::move(source));
 }
 
-void AnswerColumns::AddVector(const std::array<std::string_view, 3>& names,
-                              std::string_view stored_name) {
-  const std::vector<ColumnSpec> specs = FloatSpecs(names);
-  Add(specs, {std::string(stored_name)},
-      [specs, stored_name](const LatticeCloud& chunk,
-                           std::span<const uint32_t> rows,
-                           std::vector<Column>& answer) -> absl::Status {
+void AnswerColumns::AddUnpacked(const ColumnSpec& packed) {
+  Add(core::UnpackedSpecs(packed), {packed.name},
+      [packed](const LatticeCloud& chunk, std::span<const uint32_t> rows,
+               std::vector<Column>& answer) -> absl::Status {
         MAPSIEVE_ASSIGN_OR_RETURN(
-            const Column* const codes,
-            FindProductColumn(chunk.attributes, stored_name,
-                              ScalarType::kUint32));
-        const size_t first = AppendColumns(specs, rows.size(), answer);
-        for (size_t i = 0; i < rows.size(); ++i) {
-          const std::array<float, 3> v =
-              core::DecodeOctahedral(codes->Get<uint32_t>(rows[i]));
-          for (size_t axis = 0; axis < v.size(); ++axis) {
-            answer[first + axis].Set(i, v[axis]);
-          }
-        }
+            const Column* const stored,
+            FindProductColumn(chunk.attributes, packed.name, packed.type));
+        core::Unpack(stored->Select(rows), answer);
         return absl::OkStatus();
       });
 }
@@ -212,29 +201,22 @@ void AnswerColumns::AddCovariance() {
       });
 }
 
-void AnswerColumns::AddFilterColumns(const ColumnSelection& selection) {
+void AnswerColumns::AddFilterColumns(const ColumnSelection& selection,
+                                     bool packed) {
   if (selection.label) {
     AddCopy({"label", ScalarType::kUint8}, std::string(kLabelColumn));
   }
-  if (selection.confidence) {
-    const ColumnSpec spec = {"confidence", ScalarType::kFloat32};
-    Add({spec}, {std::string(kConfidenceColumn)},
-        [spec](const LatticeCloud& chunk, std::span<const uint32_t> rows,
-               std::vector<Column>& answer) -> absl::Status {
-          MAPSIEVE_ASSIGN_OR_RETURN(
-              const Column* const stored,
-              FindProductColumn(chunk.attributes, kConfidenceColumn,
-                                ScalarType::kUint16));
-          Column& column = answer.emplace_back(spec, rows.size());
-          for (size_t i = 0; i < rows.size(); ++i) {
-            column.Set(i,
-                       core::ConfidenceValue(stored->Get<uint16_t>(rows[i])));
-          }
-          return absl::OkStatus();
-        });
-  }
-  if (selection.normal) AddVector(kNormalNames, kNormalColumn);
-  if (selection.tangent) AddVector(kTangentNames, kTangentColumn);
+  const auto add = [&](std::string_view name, ScalarType type) {
+    const ColumnSpec spec = {std::string(name), type};
+    if (packed) {
+      AddCopy(spec, spec.name);
+    } else {
+      AddUnpacked(spec);
+    }
+  };
+  if (selection.confidence) add(kConfidenceColumn, ScalarType::kUint16);
+  if (selection.normal) add(kNormalColumn, ScalarType::kUint32);
+  if (selection.tangent) add(kTangentColumn, ScalarType::kUint32);
   if (selection.eigenvalues) {
     for (size_t l = 0; l < kLambdaNames.size(); ++l) {
       AddCopy({std::string(kLambdaNames[l]), ScalarType::kFloat32},

@@ -54,12 +54,11 @@ class AnswerColumns {
 
   void Add(std::vector<core::ColumnSpec> specs,
            std::vector<std::string> stored_names, Source source);
-  void AddVector(const std::array<std::string_view, 3>& names,
-                 std::string_view stored_name);
+  void AddUnpacked(const core::ColumnSpec& packed);
   void AddCopy(const core::ColumnSpec& spec, const std::string& stored_name);
   void AddSaliencies();
   void AddCovariance();
-  void AddFilterColumns(const ColumnSelection& selection);
+  void AddFilterColumns(const ColumnSelection& selection, bool packed);
   void AddAttribute(const core::ColumnSpec& attribute, std::string name);
 
   std::vector<core::ColumnSpec> specs_;

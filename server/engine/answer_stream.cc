@@ -18,10 +18,6 @@ using core::LatticeCloud;
 using core::LatticePoint;
 using storage::ChunkRef;
 
-/// Of a stored chunk that is sent as it is: smaller ones are better put
-/// together.
-constexpr int64_t kMinStoredBlockBytes = kMaxBatchBytes / 128;
-
 }  // namespace
 
 absl::Status AnswerSource::CheckStop() const {
@@ -58,7 +54,6 @@ AnswerSource::ReadAsStored(const ChunkRef& chunk,
   if (kind != storage::ChunkKind::kRaw ||
       compression == core::Compression::kNone ||
       specs.size() != snapshot.revision().spec.attributes.size() ||
-      chunk.stored_bytes < kMinStoredBlockBytes ||
       chunk.stored_bytes > kMaxBatchBytes || !filter.PassesAllOf(chunk)) {
     return std::nullopt;
   }
@@ -69,11 +64,11 @@ AnswerSource::ReadAsStored(const ChunkRef& chunk,
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const core::BlockHeader header,
                             core::ReadBlockHeader(*block));
-  const bool fits = std::all_of(
-      header.columns.begin(), header.columns.end(),
-      [&](const core::ColumnSpec& column) {
-        return std::find(specs.begin(), specs.end(), column) != specs.end();
-      });
+  const bool fits = std::all_of(header.columns.begin(), header.columns.end(),
+                                [&](const core::ColumnSpec& column) {
+                                  return std::find(specs.begin(), specs.end(),
+                                                   column) != specs.end();
+                                });
   if (!fits) return std::nullopt;
   return *std::move(block);
 }
@@ -93,60 +88,85 @@ absl::Status AnswerSource::CheckRead(const ChunkRef& chunk,
 }
 
 absl::StatusOr<std::optional<std::vector<std::byte>>> AnswerStream::Next() {
-  const bool is_first = point_count_ == 0;
-  MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud points, TakePoints());
-  if (points.size() == 0) return TakeStored();
-  // The first block does not wait for the second one's points.
-  std::future<absl::Status> ahead;
-  if (!is_first) {
-    ahead = std::async(std::launch::async, [this] { return LoadAhead(); });
+  // The first block does not wait for the points of the second one.
+  const size_t wanted = given_.point_count == 0 ? 1 : kBlocksAhead;
+  while (coming_.size() < wanted && !is_ended_) {
+    MAPSIEVE_RETURN_IF_ERROR(BeginBlock());
   }
-  auto block = core::EncodePoints(
-      points, {.compression = source_.compression,
-               .plan = plan_.has_value() ? &*plan_ : nullptr});
-  if (ahead.valid()) MAPSIEVE_RETURN_IF_ERROR(ahead.get());
-  return block;
+  if (coming_.empty()) return std::nullopt;
+  absl::StatusOr<Block> block = coming_.front().block.get();
+  given_ = coming_.front().totals;
+  coming_.pop_front();
+  MAPSIEVE_RETURN_IF_ERROR(block.status());
+  return *std::move(block);
+}
+
+absl::Status AnswerStream::BeginBlock() {
+  MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud points, TakePoints());
+  Coming next;
+  if (points.size() > 0) {
+    const core::EncodeOptions options = {
+        .compression = source_.compression,
+        .plan = plan_.has_value() ? &*plan_ : nullptr};
+    next.block = std::async(
+        std::launch::async,
+        [options, points = std::move(points)]() -> absl::StatusOr<Block> {
+          return core::EncodePoints(points, options);
+        });
+  } else if (auto stored = TakeStored(); stored.has_value()) {
+    std::promise<absl::StatusOr<Block>> ready;
+    next.block = ready.get_future();
+    ready.set_value(*std::move(stored));
+  } else {
+    is_ended_ = true;
+    return absl::OkStatus();
+  }
+  next.totals = taken_totals_;
+  next.totals.missing_chunk_count = missing_.count();
+  coming_.push_back(std::move(next));
+  return absl::OkStatus();
 }
 
 absl::StatusOr<bool> AnswerStream::Skip() {
-  const bool is_first = point_count_ == 0;
   MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud points, TakePoints());
-  if (points.size() == 0) return TakeStored().has_value();
-  // As far as Next, for a token tells how many chunks were missing so far.
-  if (!is_first) MAPSIEVE_RETURN_IF_ERROR(LoadAhead());
-  return true;
+  const bool is_block = points.size() > 0 || TakeStored().has_value();
+  given_ = taken_totals_;
+  given_.missing_chunk_count = missing_.count();
+  return is_block;
 }
 
-std::optional<std::vector<std::byte>> AnswerStream::TakeStored() {
+std::optional<AnswerStream::Block> AnswerStream::TakeStored() {
   if (!stored_.has_value()) return std::nullopt;
-  point_count_ += stored_point_count_;
-  label_counts_[static_cast<size_t>(Label::kNone)] += stored_point_count_;
+  taken_totals_.point_count += stored_point_count_;
+  taken_totals_.label_counts[static_cast<size_t>(Label::kNone)] +=
+      stored_point_count_;
   return std::exchange(stored_, std::nullopt);
 }
 
 absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
-  const bool is_first = point_count_ == 0;
+  const bool is_first = taken_totals_.point_count == 0;
   while (is_first && !is_walked_ && !stored_.has_value() &&
          pending_.size() == 0) {
     MAPSIEVE_RETURN_IF_ERROR(LoadChunk());
   }
-  if (!is_first) MAPSIEVE_RETURN_IF_ERROR(LoadAhead());
+  if (!is_first) MAPSIEVE_RETURN_IF_ERROR(LoadPending());
   const size_t count = std::min(source_.columns.PointsPerBlock(kMaxBatchBytes),
                                 pending_.size() - taken_);
   for (size_t row = taken_; row < taken_ + count; ++row) {
-    ++label_counts_[static_cast<size_t>(pending_labels_[row])];
+    ++taken_totals_.label_counts[static_cast<size_t>(pending_labels_[row])];
   }
   LatticeCloud points = PendingPoints(taken_, count);
   taken_ += count;
   if (!plan_.has_value() && count > 0 &&
       source_.compression != core::Compression::kNone) {
-    plan_ = core::PlanEncoding(points, source_.compression);
+    plan_ =
+        core::PlanEncoding(points, source_.compression, core::PlanAim::kSpeed);
   }
-  point_count_ += static_cast<int64_t>(count);
+  taken_totals_.point_count += static_cast<int64_t>(count);
   return points;
 }
 
-absl::Status AnswerStream::LoadAhead() {
+absl::Status AnswerStream::LoadPending() {
   const size_t wanted = source_.columns.PointsPerBlock(kMaxBatchBytes);
   while (!is_walked_ && !stored_.has_value() &&
          pending_.size() - taken_ < wanted) {

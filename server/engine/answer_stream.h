@@ -3,6 +3,8 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <deque>
+#include <future>
 #include <optional>
 #include <set>
 #include <stop_token>
@@ -75,6 +77,9 @@ struct AnswerSource {
                          MissingChunks* missing) const;
 };
 
+/// Blocks of an answer that are made at the same time.
+inline constexpr size_t kBlocksAhead = 3;
+
 /// One pass over the chunks of an answer, as blocks. The same source and choice
 /// give the same blocks. Used by one thread.
 class AnswerStream {
@@ -92,26 +97,36 @@ class AnswerStream {
     pending_.lattice = core::Lattice(source.snapshot.map().spec.step_nm);
   }
 
-  /// The next block; nothing after the last one. While it is encoded, another
-  /// thread reads the points of the one behind it. Errors as
-  /// QueryCursor::NextBatch.
-  absl::StatusOr<std::optional<std::vector<std::byte>>> Next();
+  using Block = std::vector<std::byte>;
+
+  /// The next block; nothing after the last one. Blocks behind it are read and
+  /// encoded meanwhile, by other threads too. After an error the stream is of
+  /// no further use. Errors as QueryCursor::NextBatch.
+  absl::StatusOr<std::optional<Block>> Next();
 
   /// Passes over what Next would give, and returns whether that is anything.
+  /// Before the first call of Next.
   absl::StatusOr<bool> Skip();
 
-  /// Points in the blocks so far, by label and together.
-  const core::LabelCounts& label_counts() const { return label_counts_; }
-  int64_t point_count() const { return point_count_; }
+  struct Totals {
+    int64_t point_count = 0;
+    core::LabelCounts label_counts{};
+    /// Of chunks of `missing` found before these blocks were whole.
+    int64_t missing_chunk_count = 0;
+  };
+  /// Of the blocks so far, those passed over included.
+  const Totals& given() const { return given_; }
 
  private:
   /// The points of the next block; none after the last one.
   absl::StatusOr<core::LatticeCloud> TakePoints();
   /// The stored chunk whose turn it is, if any.
-  std::optional<std::vector<std::byte>> TakeStored();
+  std::optional<Block> TakeStored();
+  /// Has the next block encoded, or finds that there is none.
+  absl::Status BeginBlock();
   /// Makes the pending points enough for a block, if as many come before a
   /// stored chunk.
-  absl::Status LoadAhead();
+  absl::Status LoadPending();
   /// Appends what stays of the next chunk to the pending points, or makes it
   /// the stored chunk.
   absl::Status LoadChunk();
@@ -132,7 +147,7 @@ class AnswerStream {
   /// Made for the first block that is encoded.
   std::optional<core::EncodePlan> plan_;
   /// A chunk as it is stored, the block behind all pending points.
-  std::optional<std::vector<std::byte>> stored_;
+  std::optional<Block> stored_;
   int64_t stored_point_count_ = 0;
   /// Points of the answer, those up to taken_ taken.
   core::LatticeCloud pending_;
@@ -141,8 +156,17 @@ class AnswerStream {
   /// How far the walk has come in the choice.
   size_t next_chosen_ = 0;
   uint64_t candidates_seen_ = 0;
-  core::LabelCounts label_counts_{};
-  int64_t point_count_ = 0;
+  /// Of the blocks begun, and of those given.
+  Totals taken_totals_;
+  Totals given_;
+  bool is_ended_ = false;
+  /// A block being encoded, and the totals up to it.
+  struct Coming {
+    std::future<absl::StatusOr<Block>> block;
+    Totals totals;
+  };
+  /// Last: it waits for what uses the rest.
+  std::deque<Coming> coming_;
 };
 
 }  // namespace mapsieve::engine

@@ -10,6 +10,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/cloud/packed_columns.h"
 #include "core/cloud/point_cloud.h"
 #include "core/spdf/labels.h"
 #include "core/spdf/levels.h"
@@ -20,11 +21,11 @@
 namespace mapsieve::engine {
 
 inline constexpr std::string_view kLabelColumn = "spdf.label";
-inline constexpr std::string_view kConfidenceColumn = "spdf.confidence";
+inline constexpr std::string_view kConfidenceColumn = core::kPackedConfidence;
 inline constexpr std::array<std::string_view, 3> kLambdaColumns = {
     "spdf.lambda1", "spdf.lambda2", "spdf.lambda3"};
-inline constexpr std::string_view kNormalColumn = "spdf.normal";
-inline constexpr std::string_view kTangentColumn = "spdf.tangent";
+inline constexpr std::string_view kNormalColumn = core::kPackedNormal;
+inline constexpr std::string_view kTangentColumn = core::kPackedTangent;
 
 /// Depth of the point: uint8, 0 to core::kMaxDepth.
 inline constexpr std::string_view kDepthColumn = "spdf.depth";

@@ -127,6 +127,8 @@ struct QuerySpec {
   bool allow_partial = false;
   /// Blocks of plain columns (core::Compression::kNone).
   bool plain_blocks = false;
+  /// Confidences, normals and tangents as core/cloud/packed_columns.h has them.
+  bool packed_columns = false;
   /// Nothing, or what QueryCursor::resume_token gave after a batch of the same
   /// query: the answer goes on behind that batch, from the same revision.
   std::string resume_token;

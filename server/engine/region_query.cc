@@ -43,8 +43,8 @@ constexpr int64_t kChosenBytes = 80;
 constexpr int64_t kCheapPointBytes = 3;
 /// A chunk decoded, its selected rows, and those rows waiting to be sent.
 constexpr int64_t kChunkCopies = 3;
-/// A batch before and after it is encoded.
-constexpr int64_t kBatchCopies = 4;
+/// Blocks before and after they are encoded, and two messages on their way.
+constexpr int64_t kBatchCopies = 2 * kBlocksAhead + 3;
 
 /// Some milliseconds of sorting.
 constexpr size_t kRowsBetweenStops = 65536;
@@ -149,8 +149,8 @@ class RegionQuery final : public QueryCursor {
                             .missing_point_count = missing_.point_count,
                             .missing_chunks = missing_.listed};
     if (stream_.has_value()) {
-      summary.point_count = stream_->point_count();
-      summary.label_counts = stream_->label_counts();
+      summary.point_count = stream_->given().point_count;
+      summary.label_counts = stream_->given().label_counts;
     }
     summary.available_label_counts =
         HasBudget() ? available_ : summary.label_counts;
@@ -158,12 +158,13 @@ class RegionQuery final : public QueryCursor {
   }
 
   std::string resume_token() const override {
-    return WriteResumeToken(
-        {.key = resume_key_,
-         .revision = header_.revision,
-         .point_count = stream_.has_value() ? stream_->point_count() : 0,
-         .block_bytes = block_bytes_,
-         .missing_chunk_count = missing_.count()});
+    const AnswerStream::Totals given =
+        stream_.has_value() ? stream_->given() : AnswerStream::Totals{};
+    return WriteResumeToken({.key = resume_key_,
+                             .revision = header_.revision,
+                             .point_count = given.point_count,
+                             .block_bytes = block_bytes_,
+                             .missing_chunk_count = given.missing_chunk_count});
   }
 
  private:
@@ -175,12 +176,12 @@ class RegionQuery final : public QueryCursor {
     stream_.emplace(source_, HasBudget() ? &choice_ : nullptr, missing_);
     if (!resume_.has_value()) return absl::OkStatus();
     bool has_more = true;
-    while (has_more && stream_->point_count() < resume_->point_count) {
+    while (has_more && stream_->given().point_count < resume_->point_count) {
       MAPSIEVE_ASSIGN_OR_RETURN(has_more, stream_->Skip());
     }
     block_bytes_ = resume_->block_bytes;
-    if (stream_->point_count() == resume_->point_count &&
-        missing_.count() == resume_->missing_chunk_count) {
+    if (stream_->given().point_count == resume_->point_count &&
+        stream_->given().missing_chunk_count == resume_->missing_chunk_count) {
       return absl::OkStatus();
     }
     return absl::AbortedError(

@@ -241,6 +241,7 @@ absl::StatusOr<engine::QuerySpec> ToQuerySpec(
   spec.raw = request.raw();
   spec.allow_partial = request.allow_partial();
   spec.plain_blocks = request.plain_blocks();
+  spec.packed_columns = request.packed_columns();
   spec.resume_token = request.resume_token();
   spec.resume_key = ResumeKey(request);
   switch (request.representative()) {
@@ -268,6 +269,7 @@ absl::StatusOr<engine::SyncSpec> ToSyncSpec(
   of_any_tile.clear_revision();
   of_any_tile.clear_region();
   of_any_tile.clear_plain_blocks();
+  of_any_tile.clear_packed_columns();
   spec.query_key = of_any_tile.SerializeAsString();
   spec.held_chunk_ids.assign(request.held_chunk_ids().begin(),
                              request.held_chunk_ids().end());

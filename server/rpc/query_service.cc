@@ -1,10 +1,15 @@
 #include "server/rpc/query_service.h"
 
+#include <cstddef>
 #include <memory>
 #include <optional>
+#include <string>
 #include <utility>
+#include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "core/base/status.h"
+#include "server/rpc/batch_message.h"
 #include "server/rpc/convert.h"
 #include "server/rpc/convert_query.h"
 
@@ -12,36 +17,79 @@ namespace mapsieve::rpc {
 namespace {
 
 // One call of QueryRegion: a header, batches, a summary.
-class QueryReactor final : public StreamReactor<v1::QueryRegionResponse> {
+class QueryReactor final : public StreamReactor<grpc::ByteBuffer> {
  public:
   QueryReactor(CallContext& calls, engine::Engine& engine,
-               const v1::QueryRegionRequest& request)
+               const grpc::ByteBuffer& request)
       : StreamReactor(calls, "QueryRegion", *calls.opening_worker),
         engine_(engine),
         request_(request) {}
 
  protected:
-  absl::StatusOr<bool> Next(v1::QueryRegionResponse& response) override {
+  absl::StatusOr<bool> Next(grpc::ByteBuffer& message) override {
+    v1::QueryRegionResponse response;
     if (cursor_ == nullptr) {
       if (complete_) return false;
-      MAPSIEVE_ASSIGN_OR_RETURN(const auto spec, ToQuerySpec(request_));
-      MAPSIEVE_ASSIGN_OR_RETURN(cursor_, engine_.Query(spec, stop_token()));
+      MAPSIEVE_RETURN_IF_ERROR(Begin());
       SetHeader(*response.mutable_header());
+      message = ToBytes(response);
       return true;
     }
-    MAPSIEVE_ASSIGN_OR_RETURN(const auto block, cursor_->NextBatch());
-    if (block) {
-      response.mutable_batch()->set_block(block->data(), block->size());
-      response.mutable_batch()->set_resume_token(cursor_->resume_token());
+    MAPSIEVE_ASSIGN_OR_RETURN(Blocks blocks, NextBlocks());
+    if (!blocks.empty()) {
+      message = MakeBatchMessage(std::move(blocks), resume_token_);
       return true;
     }
     *response.mutable_summary() = ToProto(cursor_->summary());
+    message = ToBytes(response);
     complete_ = true;
     cursor_.reset();
     return true;
   }
 
  private:
+  using Blocks = std::vector<std::vector<std::byte>>;
+
+  absl::Status Begin() {
+    v1::QueryRegionRequest request;
+    // The parser takes what it parses.
+    grpc::ByteBuffer bytes = request_;
+    const grpc::Status parsed =
+        grpc::SerializationTraits<v1::QueryRegionRequest>::Deserialize(
+            &bytes, &request);
+    if (!parsed.ok()) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "the bytes of the request are no ", request.GetTypeName()));
+    }
+    MAPSIEVE_ASSIGN_OR_RETURN(const auto spec, ToQuerySpec(request));
+    MAPSIEVE_ASSIGN_OR_RETURN(cursor_, engine_.Query(spec, stop_token()));
+    may_gather_ = !spec.plain_blocks;
+    return absl::OkStatus();
+  }
+
+  // The blocks of the next message, and the token behind them: one at first,
+  // which is not to wait for others, then as many as a message holds.
+  absl::StatusOr<Blocks> NextBlocks() {
+    Blocks blocks;
+    size_t bytes = 0;
+    while (true) {
+      if (!ahead_.has_value()) {
+        MAPSIEVE_ASSIGN_OR_RETURN(ahead_, cursor_->NextBatch());
+        if (!ahead_.has_value()) return blocks;
+      }
+      bytes += ahead_->size();
+      if (!blocks.empty() && bytes > engine::kMaxBatchBytes) return blocks;
+      blocks.push_back(*std::exchange(ahead_, std::nullopt));
+      resume_token_ = cursor_->resume_token();
+      if (!std::exchange(gathers_, may_gather_)) return blocks;
+    }
+  }
+
+  static grpc::ByteBuffer ToBytes(const v1::QueryRegionResponse& response) {
+    const grpc::Slice slice(response.SerializeAsString());
+    return {&slice, 1};
+  }
+
   void SetHeader(v1::QueryHeader& header) const {
     const engine::QueryHeader& from = cursor_->header();
     header.set_revision(from.revision);
@@ -54,8 +102,15 @@ class QueryReactor final : public StreamReactor<v1::QueryRegionResponse> {
 
   engine::Engine& engine_;
   // gRPC keeps it until OnDone.
-  const v1::QueryRegionRequest& request_;
+  const grpc::ByteBuffer& request_;
   std::unique_ptr<engine::QueryCursor> cursor_;
+  // Messages of more than one block: not of plain ones, nor the first.
+  bool may_gather_ = false;
+  bool gathers_ = false;
+  // A block that the last message had no room for.
+  std::optional<std::vector<std::byte>> ahead_;
+  // Behind the last message.
+  std::string resume_token_;
   bool complete_ = false;
 };
 
@@ -102,9 +157,8 @@ class SyncReactor final : public StreamReactor<v1::SyncRegionResponse> {
 
 }  // namespace
 
-grpc::ServerWriteReactor<v1::QueryRegionResponse>* QueryService::QueryRegion(
-    grpc::CallbackServerContext* /*context*/,
-    const v1::QueryRegionRequest* request) {
+grpc::ServerWriteReactor<grpc::ByteBuffer>* QueryService::QueryRegion(
+    grpc::CallbackServerContext* /*context*/, const grpc::ByteBuffer* request) {
   auto* reactor = new QueryReactor(calls_, engine_, *request);
   reactor->Start(calls_.admission->Admit(CallKind::kQuery));
   return reactor;

@@ -8,15 +8,18 @@
 namespace mapsieve::rpc {
 
 /// mapsieve.v1.QueryService over an engine. Thread-safe.
-class QueryService final : public v1::QueryService::CallbackService {
+class QueryService final
+    : public v1::QueryService::WithRawCallbackMethod_QueryRegion<
+          v1::QueryService::CallbackService> {
  public:
   /// Both outlive the service.
   QueryService(CallContext& calls, engine::Engine& engine)
       : calls_(calls), engine_(engine) {}
 
-  grpc::ServerWriteReactor<v1::QueryRegionResponse>* QueryRegion(
+  /// Messages as bytes: those of blocks are not copied into any other.
+  grpc::ServerWriteReactor<grpc::ByteBuffer>* QueryRegion(
       grpc::CallbackServerContext* context,
-      const v1::QueryRegionRequest* request) override;
+      const grpc::ByteBuffer* request) override;
   grpc::ServerWriteReactor<v1::SyncRegionResponse>* SyncRegion(
       grpc::CallbackServerContext* context,
       const v1::SyncRegionRequest* request) override;

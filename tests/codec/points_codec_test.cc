@@ -1,5 +1,6 @@
 #include "core/codec/points_codec.h"
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
 #include <fstream>
@@ -7,6 +8,7 @@
 #include <map>
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "core/base/bytes.h"
 #include "core/codec/block_head.h"
 #include "core/geometry/morton.h"
@@ -17,6 +19,7 @@ namespace mapsieve::core {
 namespace {
 
 using ::mapsieve::testing::StatusIs;
+using ::testing::_;
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
@@ -208,7 +211,7 @@ TEST(EncodePoints, DoesWithoutAPlanThatDoesNotSuit) {
   for (auto* entries : {&plan.axes, &plan.attributes}) {
     for (auto& [name, entry] : *entries) {
       entry.transforms = {Transform::kPlain};
-      entry.value_bytes = 0;
+      entry.max_value_bytes = 0;
     }
   }
   EXPECT_EQ(EncodePoints(cloud, {.plan = &plan}).value(), chosen);
@@ -223,6 +226,23 @@ TEST(EncodePoints, DoesWithoutAPlanThatDoesNotSuit) {
   const BlockHead head = ReadBlockHead(shuffled).value();
   EXPECT_EQ(head.attributes()[0].spec.name, "noise");
   EXPECT_EQ(head.attributes()[0].transform, Transform::kShuffle);
+}
+
+TEST(PlanEncoding, ForSpeedTriesLessAndIsSomewhatLarger) {
+  for (const bool sorted : {false, true}) {
+    const LatticeCloud cloud = VariedCloud(30'000, sorted);
+    const EncodePlan plan =
+        PlanEncoding(cloud, Compression::kLz4, PlanAim::kSpeed);
+    for (const auto* entries : {&plan.axes, &plan.attributes}) {
+      for (const auto& [name, entry] : *entries) {
+        EXPECT_EQ(entry.transforms.size(), 1u) << name;
+      }
+    }
+    const auto fast = EncodePoints(cloud, {.plan = &plan}).value();
+    ExpectSame(DecodePoints(fast).value(), cloud);
+    const size_t small = EncodePoints(cloud).value().size();
+    EXPECT_LE(fast.size(), small + small / 20);
+  }
 }
 
 TEST(PlanEncoding, LeavesOutColumnsOfOneValue) {
@@ -438,6 +458,36 @@ TEST(ReadBlockLength, SplitsAStreamOfBlocks) {
     rest = rest.subspan(block.size());
   }
   EXPECT_TRUE(rest.empty());
+}
+
+TEST(SplitBlocks, GivesTheBlocksBackToBack) {
+  const auto first = EncodePoints(VariedCloud(100, true)).value();
+  const auto second = EncodePoints(VariedCloud(0, true)).value();
+  std::vector<std::byte> bytes = first;
+  EXPECT_TRUE(SplitBlocks({}).value().empty());
+  bytes.insert(bytes.end(), second.begin(), second.end());
+  bytes.insert(bytes.end(), first.begin(), first.end());
+  const auto blocks = SplitBlocks(bytes).value();
+  ASSERT_EQ(blocks.size(), 3u);
+  for (const size_t i : {0, 2}) {
+    EXPECT_TRUE(std::equal(blocks[i].begin(), blocks[i].end(), first.begin(),
+                           first.end()));
+  }
+  EXPECT_EQ(blocks[1].size(), second.size());
+  EXPECT_EQ(blocks[1].data(), bytes.data() + first.size());
+}
+
+TEST(SplitBlocks, RefusesWhatIsNoBlockWithItsOffset) {
+  const auto block = EncodePoints(VariedCloud(100, true)).value();
+  std::vector<std::byte> bytes = block;
+  bytes.insert(bytes.end(), block.begin(), block.end());
+  const std::string offset = absl::StrCat("offset ", block.size());
+  for (const size_t lost : {size_t{1}, block.size() - 1}) {
+    EXPECT_THAT(SplitBlocks(std::span(bytes).first(bytes.size() - lost)),
+                StatusIs(absl::StatusCode::kDataLoss, HasSubstr(offset)));
+  }
+  bytes[block.size()] ^= std::byte{1};
+  EXPECT_THAT(SplitBlocks(bytes), StatusIs(absl::StatusCode::kDataLoss, _));
 }
 
 TEST(ReadBlockLength, RefusesWhatIsNoBlock) {

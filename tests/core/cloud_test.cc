@@ -1,8 +1,13 @@
+#include <array>
 #include <cmath>
 #include <limits>
+#include <string>
+#include <vector>
 
+#include "core/cloud/packed_columns.h"
 #include "core/cloud/point_cloud.h"
 #include "core/cloud/row_runs.h"
+#include "core/geometry/octahedral.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::core {
@@ -117,6 +122,39 @@ TEST(Quantize, RefusesAndCountsByReason) {
   ASSERT_EQ(q.size(), 2u);
   EXPECT_EQ(q.positions[1], (LatticePoint{4000, 5000, 6000}));
   EXPECT_EQ(q.attributes.Find("id")->Get<uint8_t>(1), 4);
+}
+
+TEST(PackedColumns, StandForPlainOnes) {
+  Column confidence({std::string(kPackedConfidence), ScalarType::kUint16}, 2);
+  confidence.Set(0, uint16_t{65535});
+  confidence.Set(1, uint16_t{0});
+  Column normal({std::string(kPackedNormal), ScalarType::kUint32}, 2);
+  const std::array<Vector3, 2> vectors = {{{0, 0, -1}, {0.6, 0, 0.8}}};
+  for (size_t i = 0; i < vectors.size(); ++i) {
+    normal.Set(i, EncodeOctahedral(vectors[i]));
+  }
+  Column other({"spdf.normal", ScalarType::kUint8}, 2);
+  std::vector<Column> plain;
+  for (const Column& column : {confidence, normal, other}) {
+    std::vector<Column> alone;
+    Unpack(column, alone);
+    std::vector<ColumnSpec> specs;
+    for (const Column& one : alone) specs.push_back(one.spec());
+    EXPECT_EQ(specs, UnpackedSpecs(column.spec()));
+    Unpack(column, plain);
+  }
+  ASSERT_EQ(plain.size(), 5u);
+  EXPECT_EQ(plain[0].spec(), (ColumnSpec{"confidence", ScalarType::kFloat32}));
+  EXPECT_EQ(plain[0].Get<float>(0), 1);
+  EXPECT_EQ(plain[0].Get<float>(1), 0);
+  for (size_t axis = 0; axis < 3; ++axis) {
+    EXPECT_EQ(plain[1 + axis].name(), std::string("n") + "xyz"[axis]);
+    for (size_t i = 0; i < vectors.size(); ++i) {
+      EXPECT_NEAR(plain[1 + axis].Get<float>(i), vectors[i][axis], 1e-3);
+    }
+  }
+  // The name alone does not make a packed column.
+  EXPECT_EQ(plain[4].spec(), other.spec());
 }
 
 }  // namespace

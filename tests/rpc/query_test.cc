@@ -11,6 +11,9 @@
 
 #include "absl/time/clock.h"
 #include "client/api/map_client.h"
+#include "core/base/bytes.h"
+#include "core/cloud/packed_columns.h"
+#include "core/codec/points_codec.h"
 #include "gtest/gtest.h"
 #include "server/engine/region.h"
 #include "spdlog/sinks/base_sink.h"
@@ -363,6 +366,110 @@ TEST_F(QueryServiceTest, TheClientGoesOnWhenTheServerComesBack) {
   EXPECT_EQ(stream->summary().point_count, 300'000);
   // The new server gave the rest.
   EXPECT_EQ(ended_->count(), before + 1);
+}
+
+TEST_F(QueryServiceTest, BlocksTravelTogetherAndATokenIsBehindThemAll) {
+  MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
+  MAPSIEVE_ASSERT_OK(client_->Upload("campus", "u", TestScene(600'000)));
+  v1::QueryRegionRequest request;
+  request.set_name("maps/campus");
+  request.set_raw(true);
+  const auto read = [&] {
+    std::vector<v1::PointBatch> batches;
+    const auto context = client_->NewContext();
+    const auto stream = client_->queries->QueryRegion(context.get(), request);
+    for (v1::QueryRegionResponse response; stream->Read(&response);) {
+      if (response.has_batch()) batches.push_back(response.batch());
+    }
+    MAPSIEVE_EXPECT_OK(FromGrpc(stream->Finish()));
+    return batches;
+  };
+  const std::vector<v1::PointBatch> batches = read();
+  ASSERT_GE(batches.size(), 3u);
+  size_t most = 0;
+  for (const v1::PointBatch& batch : batches) {
+    EXPECT_LE(batch.block().size(), size_t{1} << 20);
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto blocks,
+                                  core::SplitBlocks(TextBytes(batch.block())));
+    most = std::max(most, blocks.size());
+  }
+  EXPECT_GT(most, 1u);
+  // The first points do not wait for others.
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const auto first, core::SplitBlocks(TextBytes(batches.front().block())));
+  EXPECT_EQ(first.size(), 1u);
+
+  std::string whole;
+  for (const v1::PointBatch& batch : batches) whole += batch.block();
+  std::string begun;
+  for (const v1::PointBatch& batch : batches) {
+    begun += batch.block();
+    request.set_resume_token(batch.resume_token());
+    std::string resumed = begun;
+    for (const v1::PointBatch& rest : read()) resumed += rest.block();
+    EXPECT_TRUE(resumed == whole);
+  }
+
+  request.clear_resume_token();
+  request.set_plain_blocks(true);
+  for (const v1::PointBatch& batch : read()) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto blocks,
+                                  core::SplitBlocks(TextBytes(batch.block())));
+    EXPECT_EQ(blocks.size(), 1u);
+  }
+}
+
+TEST_F(QueryServiceTest, PackedColumnsAreThePlainOnesInFewerBytes) {
+  MakeCampus(20'000);
+  v1::QueryRegionRequest request;
+  request.set_name("maps/campus");
+  for (const v1::FilterColumn column :
+       {v1::FILTER_COLUMN_LABEL, v1::FILTER_COLUMN_CONFIDENCE,
+        v1::FILTER_COLUMN_NORMAL, v1::FILTER_COLUMN_TANGENT,
+        v1::FILTER_COLUMN_COVARIANCE}) {
+    request.mutable_columns()->add_filter_columns(column);
+  }
+  request.mutable_columns()->set_all_attributes(true);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer plain, client_->Query(request));
+  request.set_packed_columns(true);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Answer packed, client_->Query(request));
+  EXPECT_LT(packed.summary.block_bytes(), plain.summary.block_bytes() * 3 / 4);
+  EXPECT_TRUE(packed.cloud.positions == plain.cloud.positions);
+  std::vector<core::Column> unpacked;
+  for (const core::Column& column : packed.cloud.attributes.columns()) {
+    core::Unpack(column, unpacked);
+  }
+  EXPECT_EQ(unpacked, plain.cloud.attributes.columns());
+
+  // What the client library asks for, and gives.
+  client::MapClient client(server_->address().ToString());
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const auto stream,
+      client.Query({.map_id = "campus",
+                    .columns = client::ColumnSelection{
+                        .filter_columns = {client::FilterColumn::kLabel,
+                                           client::FilterColumn::kConfidence,
+                                           client::FilterColumn::kNormal,
+                                           client::FilterColumn::kTangent,
+                                           client::FilterColumn::kCovariance},
+                        .all_attributes = true}}));
+  std::vector<core::ColumnSpec> specs;
+  for (const core::Column& column : plain.cloud.attributes.columns()) {
+    specs.push_back(column.spec());
+  }
+  EXPECT_EQ(stream->header().columns, specs);
+  core::LatticeCloud got;
+  while (true) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto batch, stream->Next());
+    if (batch.size() == 0) break;
+    MAPSIEVE_ASSERT_OK(
+        got.attributes.AppendAll(got.size(), batch.attributes, batch.size()));
+    got.positions.insert(got.positions.end(), batch.positions.begin(),
+                         batch.positions.end());
+  }
+  EXPECT_TRUE(got.positions == plain.cloud.positions);
+  EXPECT_EQ(got.attributes, plain.cloud.attributes);
+  EXPECT_EQ(stream->summary().block_bytes, packed.summary.block_bytes());
 }
 
 // The work of the largest query, cancelled at many moments.

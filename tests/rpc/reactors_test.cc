@@ -109,7 +109,8 @@ class CountingCursor : public engine::QueryCursor {
   const engine::QueryHeader& header() const override { return header_; }
   absl::StatusOr<std::optional<std::vector<std::byte>>> NextBatch() override {
     if (stop_.stop_requested()) return absl::CancelledError("stopped");
-    if (blocks_-- == 0) return std::nullopt;
+    if (blocks_ == 0) return std::nullopt;
+    --blocks_;
     ++counts_.made;
     return std::vector<std::byte>(engine::kMaxBatchBytes);
   }

@@ -187,13 +187,17 @@ absl::StatusOr<Answer> TestClient::Query(
       answer.cloud.lattice = core::Lattice(answer.header.step_nm());
     } else if (response.has_batch()) {
       MAPSIEVE_ASSIGN_OR_RETURN(
-          const core::LatticeCloud batch,
-          core::DecodePoints(TextBytes(response.batch().block())));
-      MAPSIEVE_RETURN_IF_ERROR(answer.cloud.attributes.AppendAll(
-          answer.cloud.size(), batch.attributes, batch.size()));
-      answer.cloud.positions.insert(answer.cloud.positions.end(),
-                                    batch.positions.begin(),
-                                    batch.positions.end());
+          const auto blocks,
+          core::SplitBlocks(TextBytes(response.batch().block())));
+      for (const auto& block : blocks) {
+        MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud part,
+                                  core::DecodePoints(block));
+        MAPSIEVE_RETURN_IF_ERROR(answer.cloud.attributes.AppendAll(
+            answer.cloud.size(), part.attributes, part.size()));
+        answer.cloud.positions.insert(answer.cloud.positions.end(),
+                                      part.positions.begin(),
+                                      part.positions.end());
+      }
     } else if (response.has_summary()) {
       answer.summary = response.summary();
       complete = true;
