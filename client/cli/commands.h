@@ -202,6 +202,13 @@ struct EvaluateCommand {
   /// Lists of pairs, and the folder of their files (ReadPairList).
   std::vector<std::string> pair_lists;
   std::string pair_folder;
+  /// Two files, in place of all pairs (LoadMapPair); empty: none. A count above
+  /// the size of the smaller one stands for all of its points.
+  std::vector<std::string> maps;
+  /// Moves the second onto the first (TransformOfRows); empty: the identity.
+  std::vector<double> transform;
+  /// Median error of translation to find the smallest counts for.
+  double target_m = 0.02;
   int threads = 1;
   /// Prints how long it will take, and does no more.
   bool only_estimate = false;
@@ -209,7 +216,8 @@ struct EvaluateCommand {
   /// kInvalidArgument.
   absl::Status Validate() const;
 };
-/// Of a valid command. Goes on where a broken one in the same folder stopped.
+/// Of a valid command. Prints the sampler and the count for the target. Goes on
+/// where a broken one in the same folder stopped.
 absl::Status RunEvaluate(const CommonOptions& common,
                          const EvaluateCommand& command);
 

@@ -674,17 +674,42 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
       "The paper's size: 109 simulated pairs of dense scans, 1000 to 200000 "
       "points, 2504 registrations of each pair and method; options beside it "
       "count");
-  command->add_option("--pairs", options->pair_lists,
-                      "YAML list of pairs of files with their transforms; can "
-                      "be repeated");
+  CLI::Option* maps =
+      command
+          ->add_option_function<std::vector<std::string>>(
+              "--maps",
+              [options](const std::vector<std::string>& files) {
+                options->maps = files;
+                options->simulated.pair_counts = {0, 0, 0};
+                options->options.trial_count = 10;
+              },
+              "Two files of one place, in place of all pairs: which sampler "
+              "and how many points do they need? 10 trials")
+          ->expected(2)
+          ->allow_extra_args(false);
+  command
+      ->add_option("--transform", options->transform,
+                   "Of --maps: 16 numbers, the rows of the matrix that moves "
+                   "the second onto the first, default the identity")
+      ->expected(16)
+      ->allow_extra_args(false);
+  command->add_option("--target", options->target_m,
+                      "Median error of translation that the smallest count is "
+                      "found for, in metres, default 0.02");
+  CLI::Option* pairs =
+      command->add_option("--pairs", options->pair_lists,
+                          "YAML list of pairs of files with their transforms; "
+                          "can be repeated");
+  maps->excludes(pairs);
   command->add_option("--pairs-folder", options->pair_folder,
                       "Where the lists' relative paths begin, default at the "
                       "list");
-  command
-      ->add_option("--simulated", *simulated,
-                   "Pairs of rooms, streets and woods, default 15 15 15")
-      ->expected(3)
-      ->allow_extra_args(false);
+  maps->excludes(
+      command
+          ->add_option("--simulated", *simulated,
+                       "Pairs of rooms, streets and woods, default 15 15 15")
+          ->expected(3)
+          ->allow_extra_args(false));
   command->add_option("--rotations", options->simulated.rotation_count,
                       "Of the scanner, 32768 pulses each, for a simulated scan "
                       "(1 to 32), default 2");
@@ -708,6 +733,11 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
                       "Starting poses of a pair, default 2");
   command->add_option("--seed", evaluation.seed,
                       "Changes starting poses and samples, default 1");
+  command->add_option("--max-translation", evaluation.max_translation_m,
+                      "Starting poses are so many metres off at most, default "
+                      "0.5");
+  command->add_option("--max-rotation", evaluation.max_rotation_deg,
+                      "And so many degrees, default 20");
   options->threads =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   command->add_option("--threads", options->threads, "Default: one a processor")
