@@ -160,8 +160,9 @@ struct SampleCommand {
   double step = 0.001;
   int threads = 1;
   std::vector<std::string> column_names;
-  /// Folder of a report on both density rules; empty: none. Of spdf alone,
-  /// without max_points.
+  /// Folder of a report on both density rules, with the density radius that
+  /// max_points finds where it is given (in a time that the report has of its
+  /// rule); empty: none. Of spdf alone.
   std::string report;
 
   /// kInvalidArgument.
@@ -190,6 +191,8 @@ absl::Status RunRender(const CommonOptions& common,
 
 struct SimulateCommand {
   std::string output;
+  /// Two furnished rooms instead of a campus.
+  bool rooms = false;
   SimulateOptions options;
 };
 absl::Status RunSimulate(const CommonOptions& common,

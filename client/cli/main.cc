@@ -540,7 +540,7 @@ void AddSample(CLI::App& app, const CommonOptions& common, Run& run) {
   command->add_option("--threads", options->threads, "Default: one a processor")
       ->check(CLI::Range(1, 1024));
   command->add_option("--report", options->report,
-                      "Folder for a report that compares both density rules: "
+                      "Of spdf: folder for a report on both density rules: "
                       "report.json, density and saliencies as .svg and .png");
   AddColumnsOption(*command, options->column_names);
   command->callback([=, &common, &run] {
@@ -607,7 +607,18 @@ void AddRender(CLI::App& app, const CommonOptions& common, Run& run) {
               {"dark", RenderOptions::Background::kDark},
               {"light", RenderOptions::Background::kLight}}));
   command->add_option("--title", render.title, "Headline");
+  auto box = std::make_shared<std::vector<double>>();
+  command
+      ->add_option("--box", *box,
+                   "x0 y0 z0 x1 y1 z1 in map units: nothing outside is drawn, "
+                   "for instance no ceiling; inf and -inf are no limit")
+      ->expected(6)
+      ->allow_extra_args(false);
   command->callback([=, &common, &run] {
+    if (const std::vector<double>& b = *box; !b.empty()) {
+      options->options.box_min = {b[0], b[1], b[2]};
+      options->options.box_max = {b[3], b[4], b[5]};
+    }
     run = [=, &common] { return RunRender(common, *options); };
   });
 }
@@ -615,9 +626,12 @@ void AddRender(CLI::App& app, const CommonOptions& common, Run& run) {
 void AddSimulate(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<SimulateCommand>();
   CLI::App* command = app.add_subcommand(
-      "simulate", "Write a simulated survey of a campus, of any size");
+      "simulate",
+      "Write a simulated survey of a campus or of rooms, of any size");
   command->add_option("OUTPUT", options->output, "LAS, PCD, PLY or CSV")
       ->required();
+  command->add_flag("--rooms", options->rooms,
+                    "Two furnished rooms, scanned from two places");
   command->add_option("--points", options->options.point_count,
                       "Default 1000000");
   command->add_option("--seed", options->options.seed, "Default 1");
