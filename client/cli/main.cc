@@ -611,7 +611,7 @@ void AddRender(CLI::App& app, const CommonOptions& common, Run& run) {
   command
       ->add_option("--box", *box,
                    "x0 y0 z0 x1 y1 z1 in map units: nothing outside is drawn, "
-                   "for instance no ceiling; inf and -inf are no limit")
+                   "for instance no ceiling")
       ->expected(6)
       ->allow_extra_args(false);
   command->callback([=, &common, &run] {
