@@ -160,8 +160,9 @@ struct SampleCommand {
   double step = 0.001;
   int threads = 1;
   std::vector<std::string> column_names;
-  /// Folder of a report on both density rules; empty: none. Of spdf alone,
-  /// without max_points.
+  /// Folder of a report on both density rules, with the density radius that
+  /// max_points finds where it is given (in a time that the report has of its
+  /// rule); empty: none. Of spdf alone.
   std::string report;
 
   /// kInvalidArgument.
@@ -190,6 +191,8 @@ absl::Status RunRender(const CommonOptions& common,
 
 struct SimulateCommand {
   std::string output;
+  /// Two furnished rooms instead of a campus.
+  bool rooms = false;
   SimulateOptions options;
 };
 absl::Status RunSimulate(const CommonOptions& common,
@@ -202,6 +205,13 @@ struct EvaluateCommand {
   /// Lists of pairs, and the folder of their files (ReadPairList).
   std::vector<std::string> pair_lists;
   std::string pair_folder;
+  /// Two files, in place of all pairs (LoadMapPair); empty: none. A count above
+  /// the size of the smaller one stands for all of its points.
+  std::vector<std::string> maps;
+  /// Moves the second onto the first (TransformOfRows); empty: the identity.
+  std::vector<double> transform;
+  /// Median error of translation to find the smallest counts for.
+  double target_m = 0.02;
   int threads = 1;
   /// Prints how long it will take, and does no more.
   bool only_estimate = false;
@@ -209,7 +219,8 @@ struct EvaluateCommand {
   /// kInvalidArgument.
   absl::Status Validate() const;
 };
-/// Of a valid command. Goes on where a broken one in the same folder stopped.
+/// Of a valid command. Prints the sampler and the count for the target. Goes on
+/// where a broken one in the same folder stopped.
 absl::Status RunEvaluate(const CommonOptions& common,
                          const EvaluateCommand& command);
 

@@ -90,11 +90,6 @@ std::string SummaryCsv(const Summaries& summaries) {
   return text;
 }
 
-/// null where it is infinite: JSON has no such number.
-Json NumberJson(double value) {
-  return std::isfinite(value) ? Json(value) : Json(nullptr);
-}
-
 Json ErrorJson(const ErrorSummary& e) {
   return {{"median", NumberJson(e.median)},
           {"interval_95", {NumberJson(e.low), NumberJson(e.high)}},
@@ -103,7 +98,8 @@ Json ErrorJson(const ErrorSummary& e) {
           {"ties_with_best", e.ties_with_best}};
 }
 
-Json SummaryJson(const Summaries& summaries, const Json& settings) {
+Json SummaryJson(const Summaries& summaries, const NeededTable& needed,
+                 const Json& settings) {
   Json groups = Json::array();
   for (const GroupSummary& s : summaries) {
     groups.push_back({{"environment", EnvironmentText(s.environment)},
@@ -124,6 +120,7 @@ Json SummaryJson(const Summaries& summaries, const Json& settings) {
           {"failure",
            {{"translation_m", kFailedTranslation},
             {"rotation_deg", kFailedRotationDeg}}},
+          {"needed_points", NeededJson(needed)},
           {"summaries", std::move(groups)}};
 }
 
@@ -276,7 +273,7 @@ absl::StatusOr<Figure> DrawTimes(const Summaries& summaries,
 
 // HTML ------------------------------------------------------------------------
 
-constexpr std::string_view kHtmlHead =
+constexpr char kHtmlHead[] =
     "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\n"
     "<title>Registration by sampler</title>\n<style>\n"
     "body{font:15px/1.45 'DejaVu Sans',sans-serif;margin:2em auto;"
@@ -308,18 +305,12 @@ std::string Escaped(std::string_view text) {
   return html;
 }
 
-std::string NumberText(double value) {
-  if (!std::isfinite(value)) return "∞";
-  return value < 100 ? absl::StrFormat("%.3g", value)
-                     : absl::StrFormat("%.0f", value);
-}
-
 std::string ErrorText(const ErrorSummary& e, double unit, const char* name) {
-  const std::string median = NumberText(unit * e.median);
+  const std::string median = FewDigits(unit * e.median);
   return absl::StrFormat("%s%s%s %s <small>[%s–%s]</small>",
                          e.ties_with_best ? "<b>" : "", median,
                          e.ties_with_best ? "</b>" : "", name,
-                         NumberText(unit * e.low), NumberText(unit * e.high));
+                         FewDigits(unit * e.low), FewDigits(unit * e.high));
 }
 
 std::string ErrorTable(const Summaries& summaries, core::IcpMethod icp) {
@@ -354,9 +345,10 @@ std::string ErrorTable(const Summaries& summaries, core::IcpMethod icp) {
   return html + "</table>\n";
 }
 
-std::string ReportHtml(const Summaries& summaries, const Json& settings,
+std::string ReportHtml(const Summaries& summaries, const NeededTable& needed,
+                       const Json& settings,
                        const std::vector<Figure>& figures) {
-  std::string html(kHtmlHead);
+  std::string html = kHtmlHead + NeededHtml(needed);
   html += absl::StrFormat(
       "<p>Median errors of registrations at all counts of points, by the "
       "environment of the pair; in brackets their 95 %% bootstrap interval "
@@ -380,17 +372,15 @@ std::string ReportHtml(const Summaries& summaries, const Json& settings,
 }  // namespace
 
 absl::Status WriteEvaluation(const std::vector<GroupSummary>& summaries,
-                             const Json& settings,
+                             const NeededTable& needed, const Json& settings,
                              const std::filesystem::path& folder) {
-  if (summaries.empty()) {
-    return absl::FailedPreconditionError(
-        "no pair has as many points as the smallest of --counts");
-  }
   MAPSIEVE_RETURN_IF_ERROR(
       WriteFile(folder / "summary.csv", SummaryCsv(summaries)));
   MAPSIEVE_RETURN_IF_ERROR(
       WriteFile(folder / "summary.json",
-                SummaryJson(summaries, settings).dump(2) + "\n"));
+                SummaryJson(summaries, needed, settings).dump(2) + "\n"));
+  MAPSIEVE_RETURN_IF_ERROR(
+      WriteFile(folder / "needed_points.csv", NeededCsv(needed)));
   std::vector<Figure> figures;
   for (const core::IcpMethod icp : IcpMethods(summaries)) {
     for (const bool is_translation : {true, false}) {
@@ -402,7 +392,7 @@ absl::Status WriteEvaluation(const std::vector<GroupSummary>& summaries,
   MAPSIEVE_ASSIGN_OR_RETURN(Figure times, DrawTimes(summaries, folder));
   figures.push_back(std::move(times));
   return WriteFile(folder / "report.html",
-                   ReportHtml(summaries, settings, figures));
+                   ReportHtml(summaries, needed, settings, figures));
 }
 
 }  // namespace mapsieve::client

@@ -6,18 +6,20 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "client/cli/needed_report.h"
 #include "client/cli/output.h"
 #include "client/lab/evaluation_summary.h"
 
 /// What `mapsieve evaluate` writes of its results.
 namespace mapsieve::client {
 
-/// Writes summary.csv, summary.json (with `settings`), the figures
-/// translation_… and rotation_… of each ICP and times, .svg and .png, and
-/// report.html, which holds tables and figures itself, into `folder`. The
-/// methods come in the order of `summaries`. Errors: those of WritePlot.
+/// Writes summary.csv, summary.json (with `needed` and `settings`),
+/// needed_points.csv, the figures translation_… and rotation_… of each ICP and
+/// times, .svg and .png, and report.html, which holds tables and figures
+/// itself, into `folder`. The methods come in the order of `summaries`, which
+/// are not empty. Errors: those of WritePlot.
 absl::Status WriteEvaluation(const std::vector<GroupSummary>& summaries,
-                             const Json& settings,
+                             const NeededTable& needed, const Json& settings,
                              const std::filesystem::path& folder);
 
 }  // namespace mapsieve::client

@@ -11,6 +11,7 @@
 #include "client/cli/progress_bar.h"
 #include "client/cli/sample_report.h"
 #include "client/formats/point_file.h"
+#include "client/lab/room_survey.h"
 #include "core/base/executor.h"
 #include "core/base/status.h"
 #include "core/sampling/sampler.h"
@@ -74,9 +75,11 @@ absl::StatusOr<Sample> TakeSample(core::PointCloud input,
       filtered.has_value() ? filtered->summary.survivor_count
                            : static_cast<int64_t>(sample.of_cloud.rows.size());
   if (!command.report.empty()) {
+    core::SpdfOptions spdf = command.sampler.spdf;
+    spdf.density_radius_m = sample.of_cloud.parameter;
     MAPSIEVE_ASSIGN_OR_RETURN(
         sample.report, CompareRules(cloud, *std::move(sample.of_cloud.filtered),
-                                    sample_s, command.sampler.spdf, executor));
+                                    sample_s, spdf, executor));
   }
   sample.of_cloud.filtered.reset();
   return sample;
@@ -103,10 +106,8 @@ absl::Status SampleCommand::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("--step is ", step, "; it must be 1e-9 to 1"));
   }
-  if (!report.empty() &&
-      (sampler.method != core::SampleMethod::kSpdf || sampler.max_points > 0)) {
-    return absl::InvalidArgumentError(
-        "--report needs --method spdf without --max-points");
+  if (!report.empty() && sampler.method != core::SampleMethod::kSpdf) {
+    return absl::InvalidArgumentError("--report needs --method spdf");
   }
   return sampler.Validate(LatticeOf(*this));
 }
@@ -214,11 +215,13 @@ absl::Status RunSimulate(const CommonOptions& common,
   MAPSIEVE_RETURN_IF_ERROR(command.options.Validate());
   MAPSIEVE_ASSIGN_OR_RETURN(
       const std::unique_ptr<PointWriter> writer,
-      CreatePointFile(command.output, SimulatedWriteOptions()));
+      CreatePointFile(command.output, command.rooms ? RoomWriteOptions()
+                                                    : SimulatedWriteOptions()));
   {
     ProgressBar bar("simulate", "points");
+    const auto simulate = command.rooms ? SimulateRooms : Simulate;
     MAPSIEVE_RETURN_IF_ERROR(
-        Simulate(command.options, *writer, {.progress = &bar}));
+        simulate(command.options, *writer, {.progress = &bar}));
   }
   PrintResult(common.json, {{"point_count", command.options.point_count},
                             {"seed", command.options.seed},

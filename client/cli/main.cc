@@ -540,7 +540,7 @@ void AddSample(CLI::App& app, const CommonOptions& common, Run& run) {
   command->add_option("--threads", options->threads, "Default: one a processor")
       ->check(CLI::Range(1, 1024));
   command->add_option("--report", options->report,
-                      "Folder for a report that compares both density rules: "
+                      "Of spdf: folder for a report on both density rules: "
                       "report.json, density and saliencies as .svg and .png");
   AddColumnsOption(*command, options->column_names);
   command->callback([=, &common, &run] {
@@ -607,7 +607,18 @@ void AddRender(CLI::App& app, const CommonOptions& common, Run& run) {
               {"dark", RenderOptions::Background::kDark},
               {"light", RenderOptions::Background::kLight}}));
   command->add_option("--title", render.title, "Headline");
+  auto box = std::make_shared<std::vector<double>>();
+  command
+      ->add_option("--box", *box,
+                   "x0 y0 z0 x1 y1 z1 in map units: nothing outside is drawn, "
+                   "for instance no ceiling")
+      ->expected(6)
+      ->allow_extra_args(false);
   command->callback([=, &common, &run] {
+    if (const std::vector<double>& b = *box; !b.empty()) {
+      options->options.box_min = {b[0], b[1], b[2]};
+      options->options.box_max = {b[3], b[4], b[5]};
+    }
     run = [=, &common] { return RunRender(common, *options); };
   });
 }
@@ -615,9 +626,12 @@ void AddRender(CLI::App& app, const CommonOptions& common, Run& run) {
 void AddSimulate(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<SimulateCommand>();
   CLI::App* command = app.add_subcommand(
-      "simulate", "Write a simulated survey of a campus, of any size");
+      "simulate",
+      "Write a simulated survey of a campus or of rooms, of any size");
   command->add_option("OUTPUT", options->output, "LAS, PCD, PLY or CSV")
       ->required();
+  command->add_flag("--rooms", options->rooms,
+                    "Two furnished rooms, scanned from two places");
   command->add_option("--points", options->options.point_count,
                       "Default 1000000");
   command->add_option("--seed", options->options.seed, "Default 1");
@@ -674,17 +688,42 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
       "The paper's size: 109 simulated pairs of dense scans, 1000 to 200000 "
       "points, 2504 registrations of each pair and method; options beside it "
       "count");
-  command->add_option("--pairs", options->pair_lists,
-                      "YAML list of pairs of files with their transforms; can "
-                      "be repeated");
+  CLI::Option* maps =
+      command
+          ->add_option_function<std::vector<std::string>>(
+              "--maps",
+              [options](const std::vector<std::string>& files) {
+                options->maps = files;
+                options->simulated.pair_counts = {0, 0, 0};
+                options->options.trial_count = 10;
+              },
+              "Two files of one place, in place of all pairs: which sampler "
+              "and how many points do they need? 10 trials")
+          ->expected(2)
+          ->allow_extra_args(false);
+  command
+      ->add_option("--transform", options->transform,
+                   "Of --maps: 16 numbers, the rows of the matrix that moves "
+                   "the second onto the first, default the identity")
+      ->expected(16)
+      ->allow_extra_args(false);
+  command->add_option("--target", options->target_m,
+                      "Median error of translation that the smallest count is "
+                      "found for, in metres, default 0.02");
+  CLI::Option* pairs =
+      command->add_option("--pairs", options->pair_lists,
+                          "YAML list of pairs of files with their transforms; "
+                          "can be repeated");
+  maps->excludes(pairs);
   command->add_option("--pairs-folder", options->pair_folder,
                       "Where the lists' relative paths begin, default at the "
                       "list");
-  command
-      ->add_option("--simulated", *simulated,
-                   "Pairs of rooms, streets and woods, default 15 15 15")
-      ->expected(3)
-      ->allow_extra_args(false);
+  maps->excludes(
+      command
+          ->add_option("--simulated", *simulated,
+                       "Pairs of rooms, streets and woods, default 15 15 15")
+          ->expected(3)
+          ->allow_extra_args(false));
   command->add_option("--rotations", options->simulated.rotation_count,
                       "Of the scanner, 32768 pulses each, for a simulated scan "
                       "(1 to 32), default 2");
@@ -708,6 +747,11 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
                       "Starting poses of a pair, default 2");
   command->add_option("--seed", evaluation.seed,
                       "Changes starting poses and samples, default 1");
+  command->add_option("--max-translation", evaluation.max_translation_m,
+                      "Starting poses are so many metres off at most, default "
+                      "0.5");
+  command->add_option("--max-rotation", evaluation.max_rotation_deg,
+                      "And so many degrees, default 20");
   options->threads =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   command->add_option("--threads", options->threads, "Default: one a processor")

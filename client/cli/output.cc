@@ -6,6 +6,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "absl/strings/str_format.h"
+
 namespace mapsieve::client {
 namespace {
 
@@ -91,6 +93,16 @@ void PrintResult(bool as_json, const Json& result) {
 Json LabelCountsJson(const core::LabelCounts& counts) {
   return {
       {"junction", counts[1]}, {"curve", counts[2]}, {"surface", counts[3]}};
+}
+
+Json NumberJson(double value) {
+  return std::isfinite(value) ? Json(value) : Json(nullptr);
+}
+
+std::string FewDigits(double value) {
+  if (!std::isfinite(value)) return "∞";
+  return value < 100 ? absl::StrFormat("%.3g", value)
+                     : absl::StrFormat("%.0f", value);
 }
 
 double RoundSeconds(double seconds) {

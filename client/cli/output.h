@@ -21,6 +21,12 @@ void PrintResult(bool as_json, const Json& result);
 /// {"junction": …, "curve": …, "surface": …}
 Json LabelCountsJson(const core::LabelCounts& counts);
 
+/// null where it is infinite: JSON has no such number.
+Json NumberJson(double value);
+
+/// Three digits, or all of a whole number; "∞".
+std::string FewDigits(double value);
+
 /// Seconds with millisecond resolution.
 double RoundSeconds(double seconds);
 

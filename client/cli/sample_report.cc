@@ -215,12 +215,6 @@ std::string OptionsText(const FilterReport& report) {
                          report.options.density_radius_m, report.point_count);
 }
 
-/// Three digits, or all of a whole number.
-std::string FewDigits(double value) {
-  return value < 100 ? absl::StrFormat("%.3g", value)
-                     : absl::StrFormat("%.0f", value);
-}
-
 /// The bins [first, end) outside of which all series are empty.
 std::pair<size_t, size_t> OccupiedBins(const std::vector<Series>& series,
                                        size_t bin_count) {

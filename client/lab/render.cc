@@ -165,6 +165,12 @@ absl::Status RenderOptions::Validate() const {
                                  std::numeric_limits<double>::lowest(),
                                  std::numeric_limits<double>::max()));
   MAPSIEVE_RETURN_IF_ERROR(check("elevation_deg", elevation_deg, 0, 90));
+  // Written so that NaN fails.
+  if (!(box_min.x <= box_max.x && box_min.y <= box_max.y &&
+        box_min.z <= box_max.z)) {
+    return absl::InvalidArgumentError(
+        "box_min is above box_max, or one of them is no number");
+  }
   if (point_size_px != 0) {
     MAPSIEVE_RETURN_IF_ERROR(check("point_size_px", point_size_px, 0.5, 64));
   }
@@ -190,6 +196,13 @@ struct Renderer::State {
     if (panel < panels.size()) return absl::OkStatus();
     return absl::InvalidArgumentError(absl::StrCat(
         "panel ", panel, " does not exist; there are ", panels.size()));
+  }
+
+  bool IsShown(const Point3& p) const {
+    const Point3& low = options.box_min;
+    const Point3& high = options.box_max;
+    return IsDrawable(p) && low.x <= p.x && p.x <= high.x && low.y <= p.y &&
+           p.y <= high.y && low.z <= p.z && p.z <= high.z;
   }
 
   ViewPoint Project(const PointCloud& batch, const Column* column,
@@ -256,7 +269,8 @@ absl::Status Renderer::State::LayOut() {
     if (panel.sample.point_count() == 0) {
       return absl::InvalidArgumentError(absl::StrCat(
           panel.title.empty() ? "the cloud" : panel.title,
-          " has no point with finite coordinates: there is nothing to draw"));
+          " has no point with finite coordinates in the box: there is nothing "
+          "to draw"));
     }
   }
   FindBounds();
@@ -478,7 +492,7 @@ absl::Status Renderer::Observe(const PointCloud& batch, size_t panel_index) {
   MAPSIEVE_ASSIGN_OR_RETURN(const Column* column,
                             state_->FindColorColumn(panel, batch));
   for (size_t i = 0; i < batch.size(); ++i) {
-    if (!IsDrawable(batch.positions[i])) continue;
+    if (!state_->IsShown(batch.positions[i])) continue;
     const ViewPoint point = state_->Project(batch, column, i);
     panel.sample.Add(point);
     panel.nearest = std::min(panel.nearest,
@@ -498,7 +512,7 @@ absl::Status Renderer::Draw(const PointCloud& batch, size_t panel_index) {
   const double center_u = (state.u.min + state.u.max) / 2;
   const double center_v = (state.v.min + state.v.max) / 2;
   for (size_t i = 0; i < batch.size(); ++i) {
-    if (!IsDrawable(batch.positions[i])) continue;
+    if (!state.IsShown(batch.positions[i])) continue;
     const ViewPoint point = state.Project(batch, column, i);
     const double depth = Dot(state.camera.forward, batch.positions[i]);
     panel.buffer->Splat(

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <filesystem>
+#include <limits>
 #include <memory>
 #include <span>
 #include <string>
@@ -13,6 +14,7 @@
 #include "client/lab/image.h"
 #include "core/base/executor.h"
 #include "core/cloud/point_cloud.h"
+#include "core/geometry/lattice.h"
 
 /// Pictures of point clouds of any size: two passes over the points, memory
 /// bounded by the picture.
@@ -22,6 +24,7 @@ namespace mapsieve::client {
 struct RenderOptions {
   enum class View { kTop, kOblique };
   enum class Background { kDark, kLight };
+  static constexpr double kInfinite = std::numeric_limits<double>::infinity();
 
   /// Pixels, kMinSide to kMaxSide.
   int width = 1600;
@@ -35,6 +38,10 @@ struct RenderOptions {
   double azimuth_deg = 30;
   /// Height of the oblique view's eye over the horizon in degrees, 0 to 90.
   double elevation_deg = 35;
+  /// Corners of a closed box: nothing outside it is drawn. Infinite, as by
+  /// default: no limit on that side.
+  core::Point3 box_min = {-kInfinite, -kInfinite, -kInfinite};
+  core::Point3 box_max = {kInfinite, kInfinite, kInfinite};
   /// "height" (z), the name of an attribute, or "auto": the geometric label
   /// where a panel has one (attribute `label` of type uint8), else height.
   /// Whole numbers of at most kCategoryColorCount values are drawn as classes,
@@ -70,12 +77,12 @@ struct RenderOptions {
 /// scale and colours) in two passes: all points through Observe, which finds
 /// bounds and ranges, then all points through Draw.
 ///
-/// Points with non-finite coordinates are left out. Bounds are robust: a few
-/// far points (under 0.5 % on each side) are cut off rather than shrink the
-/// rest. The picture depends neither on batch sizes nor on the batches' order
-/// in a panel, as long as a panel has at most kSampleSize points; beyond that
-/// bounds and ranges are estimated from a fixed sample by position in the
-/// stream. Not thread-safe.
+/// Points with non-finite coordinates, and those outside the box, are left out.
+/// Bounds are robust: a few far points (under 0.5 % on each side) are cut off
+/// rather than shrink the rest. The picture depends neither on batch sizes nor
+/// on the batches' order in a panel, as long as a panel has at most kSampleSize
+/// points; beyond that bounds and ranges are estimated from a fixed sample by
+/// position in the stream. Not thread-safe.
 class Renderer {
  public:
   static constexpr size_t kSampleSize = size_t{1} << 17;

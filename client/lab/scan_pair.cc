@@ -35,30 +35,16 @@ absl::StatusOr<std::string> TextOf(const YAML::Node& entry, const char* key) {
 }
 
 absl::StatusOr<core::RigidTransform> TransformOf(const YAML::Node& entry) {
-  const YAML::Node value = entry["transform"];
-  std::array<double, 16> numbers;
-  bool is_good = value && value.IsSequence() && value.size() == numbers.size();
-  for (size_t i = 0; is_good && i < numbers.size(); ++i) {
-    is_good = YAML::convert<double>::decode(value[i], numbers[i]);
-  }
-  constexpr std::array<double, 4> kLastRow = {0, 0, 0, 1};
-  if (!is_good ||
-      !std::equal(kLastRow.begin(), kLastRow.end(), numbers.begin() + 12)) {
-    return WrongEntry(entry,
-                      "a pair needs a 'transform' of 16 numbers, the rows of a "
-                      "matrix; the last is 0, 0, 0, 1");
-  }
-  core::RigidTransform transform;
-  for (size_t row = 0; row < 3; ++row) {
-    for (size_t column = 0; column < 3; ++column) {
-      transform.rotation[row][column] = numbers[4 * row + column];
+  std::vector<double> numbers;
+  for (const YAML::Node& value : entry["transform"]) {
+    if (!YAML::convert<double>::decode(value, numbers.emplace_back())) {
+      return WrongEntry(value, "a 'transform' holds numbers alone");
     }
-    transform.translation[row] = numbers[4 * row + 3];
   }
-  absl::StatusOr<core::RigidTransform> result =
-      core::Orthonormalized(transform);
+  absl::StatusOr<core::RigidTransform> result = TransformOfRows(numbers);
   if (result.ok()) return result;
-  return WrongEntry(entry, std::string(result.status().message()));
+  return WrongEntry(
+      entry, absl::StrCat("a pair's 'transform': ", result.status().message()));
 }
 
 absl::StatusOr<PairEntry> EntryOf(const YAML::Node& node,
@@ -160,6 +146,24 @@ std::optional<Environment> EnvironmentOfName(std::string_view name) {
     if (EnvironmentName(environment) == name) return environment;
   }
   return std::nullopt;
+}
+
+absl::StatusOr<core::RigidTransform> TransformOfRows(
+    std::span<const double> numbers) {
+  constexpr std::array<double, 4> kLastRow = {0, 0, 0, 1};
+  if (numbers.size() != 16 ||
+      !std::equal(kLastRow.begin(), kLastRow.end(), numbers.begin() + 12)) {
+    return absl::InvalidArgumentError(
+        "expected 16 numbers, the rows of a matrix; the last is 0, 0, 0, 1");
+  }
+  core::RigidTransform transform;
+  for (size_t row = 0; row < 3; ++row) {
+    for (size_t column = 0; column < 3; ++column) {
+      transform.rotation[row][column] = numbers[4 * row + column];
+    }
+    transform.translation[row] = numbers[4 * row + 3];
+  }
+  return core::Orthonormalized(transform);
 }
 
 absl::StatusOr<std::vector<PairSource>> ReadPairList(

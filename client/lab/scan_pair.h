@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -52,6 +53,12 @@ struct PairSource {
   std::function<absl::StatusOr<ScanPair>()> load;
 };
 
+/// A motion by 16 numbers, the rows of its 4 x 4 matrix. kInvalidArgument:
+/// there are fewer or more, or the last row is not 0, 0, 0, 1; those of
+/// core::Orthonormalized, whose result it is.
+absl::StatusOr<core::RigidTransform> TransformOfRows(
+    std::span<const double> numbers);
+
 /// Reads a list of pairs of files:
 ///
 ///     pairs:
@@ -64,9 +71,9 @@ struct PairSource {
 ///
 /// Paths are relative to `folder`, or to the list's own folder if that is
 /// empty. Files are read, on a lattice of 1 mm, when a pair is loaded.
-/// Errors: kNotFound: no such list, or no such file of a pair; kInvalidArgument: it is not YAML, an entry
-/// is missing, unknown or wrong (its line is named), a name comes twice; those
-/// of Orthonormalized. Of `load`: those of ReadPointFile.
+/// Errors: kNotFound: no such list, or no such file of a pair;
+/// kInvalidArgument: it is not YAML, an entry is missing, unknown or wrong (its
+/// line is named), a name comes twice. Of `load`: those of ReadPointFile.
 absl::StatusOr<std::vector<PairSource>> ReadPairList(
     const std::filesystem::path& list, const std::filesystem::path& folder);
 

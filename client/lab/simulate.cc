@@ -146,24 +146,14 @@ absl::StatusOr<core::PointCloud> CampusScanner::NextBatch(size_t max_points) {
   const auto rest =
       static_cast<uint64_t>(s.options.point_count - s.given_count);
   const uint64_t count = std::min<uint64_t>(max_points, rest);
-  core::PointCloud batch;
-  for (const core::ColumnSpec& spec : AttributeSpecs()) {
-    MAPSIEVE_RETURN_IF_ERROR(batch.attributes.Add(core::Column(spec)));
-  }
-  auto& columns = batch.attributes.columns();
+  core::PointCloud batch = EmptySurvey();
   while (batch.size() < count) {
     if (s.next_pulse == SpinningScanner::kPulseCount) {
       s.StartRotation(s.rotation.index + 1);
     }
     const auto echo = s.scanner.Fire(*s.scene, s.rotation, s.next_pulse++);
     if (!echo) continue;
-    batch.positions.push_back(s.ToMap(echo->position));
-    columns[0].Append(
-        static_cast<uint16_t>(std::lround(echo->intensity * 65535)));
-    columns[1].Append(static_cast<uint8_t>(echo->object));
-    columns[2].Append(static_cast<uint16_t>(s.rotation.index & 0xffff));
-    columns[3].Append(echo->time_s);
-    columns[4].Append(static_cast<uint8_t>(echo->truth));
+    AppendReturn(*echo, s.ToMap(echo->position), s.rotation, batch);
   }
   s.given_count += static_cast<int64_t>(count);
   return batch;
@@ -174,6 +164,25 @@ ScannerRotation CampusScanner::Rotation(int64_t index) const {
   rotation.start = state_->ToMap(rotation.start);
   rotation.velocity = state_->ToMapDirection(rotation.velocity);
   return rotation;
+}
+
+core::PointCloud EmptySurvey() {
+  core::PointCloud survey;
+  for (const core::ColumnSpec& spec : CampusScanner::AttributeSpecs()) {
+    survey.attributes.columns().push_back(core::Column(spec));
+  }
+  return survey;
+}
+
+void AppendReturn(const ScannerReturn& echo, const core::Point3& position,
+                  const ScannerRotation& rotation, core::PointCloud& survey) {
+  auto& columns = survey.attributes.columns();
+  survey.positions.push_back(position);
+  columns[0].Append(static_cast<uint16_t>(std::lround(echo.intensity * 65535)));
+  columns[1].Append(static_cast<uint8_t>(echo.object));
+  columns[2].Append(static_cast<uint16_t>(rotation.index & 0xffff));
+  columns[3].Append(echo.time_s);
+  columns[4].Append(static_cast<uint8_t>(echo.truth));
 }
 
 WriteOptions SimulatedWriteOptions() {

@@ -86,6 +86,13 @@ class CampusScanner {
   std::unique_ptr<State> state_;
 };
 
+/// No points, with the columns of CampusScanner::AttributeSpecs.
+core::PointCloud EmptySurvey();
+
+/// Appends a return at `position` to a survey that EmptySurvey began.
+void AppendReturn(const ScannerReturn& echo, const core::Point3& position,
+                  const ScannerRotation& rotation, core::PointCloud& survey);
+
 /// What a writer of a simulated survey is to be created with.
 WriteOptions SimulatedWriteOptions();
 

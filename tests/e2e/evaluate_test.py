@@ -7,6 +7,7 @@ usage: evaluate_test.py BIN_DIR
 import csv
 import html.parser
 import json
+import random
 import sys
 import unittest
 import xml.etree.ElementTree
@@ -99,7 +100,7 @@ class Evaluate(FolderTest):
 
     def test_report_holds_all_that_it_shows(self):
         page = Page((self.report / "report.html").read_text())
-        self.assertEqual(page.tags.count("table"), len(ICP))
+        self.assertEqual(page.tags.count("table"), 1 + len(ICP))
         self.assertEqual(page.tags.count("svg"), len(FIGURES))
         for link in page.links:
             self.assertTrue(link.startswith("#"), link)
@@ -150,6 +151,135 @@ class Evaluate(FolderTest):
                              self.work / "absent.yaml")
         self.assertEqual(result.returncode, 1)
         self.assertIn("absent.yaml", result.stderr)
+
+
+class EvaluateMaps(FolderTest):
+    """The same corner of a room twice, far from the origin, one moved."""
+
+    SHIFT = (120, -35.5, 2)
+
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        cls.first = cls.work / "first.csv"
+        cls.second = cls.work / "second.csv"
+        numbers = random.Random(5)
+        with open(cls.first, "w") as file, open(cls.second, "w") as moved:
+            print("x,y,z", file=file)
+            print("x,y,z", file=moved)
+            for i in range(6000):
+                point = [331000, 5183000, 90]
+                for axis in range(3):
+                    if axis != i % 3:
+                        point[axis] += numbers.uniform(0, 4)
+                print(*(f"{a:.3f}" for a in point), sep=",", file=file)
+                print(*(f"{a - b:.3f}" for a, b in zip(point, cls.SHIFT)),
+                      sep=",", file=moved)
+        x, y, z = cls.SHIFT
+        cls.truth = ("--transform", 1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, z,
+                     0, 0, 0, 1)
+        cls.few = ("--methods", ",".join(METHODS), "--icp", "plane-to-plane",
+                   "--trials", 4, "--max-rotation", 5, "--max-translation",
+                   0.2)
+
+    def evaluate(self, name, *options):
+        return mapsieve("evaluate", "-o", self.work / name, *options,
+                        *self.few)
+
+    def test_tells_the_fewest_points_for_the_target(self):
+        printed = self.evaluate("asked", "--maps", self.first, self.second,
+                                *self.truth, "--counts", "300,1000,9999999")
+        self.assertEqual(printed["truth"], "given")
+        self.assertGreater(printed["overlap"], 0.99)
+        points = printed["points_of_smaller_map"]
+        self.assertLess(5900, points)
+        self.assertLessEqual(points, 6000)
+        with open(self.work / "asked/trials.csv") as file:
+            trials = list(csv.DictReader(file))
+        # The largest count stands for all points, which meet the truth.
+        self.assertEqual([int(t["count"]) for t in trials[::4]],
+                         [n for n in (300, 1000, points) for _ in METHODS])
+        for trial in trials:
+            self.assertLess(float(trial["initial_translation_m"]), 0.2)
+            self.assertLess(float(trial["initial_rotation_deg"]), 5)
+        needed = printed["needed_points"]
+        self.assertEqual({n["method"] for n in needed}, set(METHODS))
+        for row in needed:
+            medians = {}
+            for count in (300, 1000, points):
+                errors = sorted(
+                    float(t["translation_error_m"]) for t in trials
+                    if t["method"] == row["method"]
+                    and int(t["count"]) == count)
+                self.assertEqual(len(errors), 4)
+                medians[count] = (errors[1] + errors[2]) / 2
+            self.assertLess(medians[points], 0.001)
+            reaching = [n for n in medians if medians[n] <= 0.02]
+            self.assertTrue(row["reached"])
+            self.assertEqual(row["count"], min(reaching))
+            self.assertAlmostEqual(row["translation_m"], medians[row["count"]],
+                                   delta=1e-8)
+        with open(self.work / "asked/needed_points.csv") as file:
+            rows = list(csv.DictReader(file))
+        self.assertEqual([(r["method"], int(r["count"])) for r in rows],
+                         [(n["method"], n["count"]) for n in needed])
+        summary = json.loads((self.work / "asked/summary.json").read_text())
+        self.assertEqual(summary["needed_points"], needed)
+
+        # Another target is another table of the same registrations.
+        options = ("evaluate", "-o", self.work / "asked", "--maps", self.first,
+                   self.second, *self.truth, *self.few, "--counts",
+                   f"300,1000,{points}", "--target")
+        strict = mapsieve(*options, "1e-9")
+        self.assertEqual(strict["registrations_before"], len(trials))
+        self.assertFalse(any(n["reached"] for n in strict["needed_points"]))
+        text = run_command(*options, "1e-9").stdout
+        self.assertIn("No method reaches", text)
+        self.assertEqual(text.count("not reached ("), len(METHODS))
+        html = (self.work / "asked/report.html").read_text()
+        self.assertEqual(html.count("not reached ("), len(METHODS))
+        text = run_command(*options, "0.02").stdout
+        self.assertIn(f"Fewest points for a median error of 20 mm: "
+                      f"{needed[0]['count']} by {needed[0]['method']}", text)
+
+    def test_takes_the_maps_as_they_lie_without_a_transform(self):
+        result = run_command(
+            "--json", "evaluate", "-o", self.work / "same", "--maps",
+            self.first, self.first, *self.few, "--counts", 300)
+        self.assertEqual(result.returncode, 0, result.stderr)
+        self.assertIn("are taken as the truth", result.stderr)
+        self.assertEqual(json.loads(result.stdout)["truth"], "identity")
+
+    def test_refuses_wrong_maps_in_a_line(self):
+        (self.work / "empty.csv").write_text("x,y,z\n")
+        (self.work / "one.csv").write_text("x,y,z\n1,2,3\n")
+        for maps, said in (
+                ((self.first, self.work / "none.csv"), "none.csv"),
+                ((self.work / "empty.csv", self.first), "empty.csv"),
+                ((self.first, self.work / "one.csv"), "one.csv"),
+                ((self.first, self.second), "do not overlap")):
+            result = run_command("evaluate", "-o", self.work / "none",
+                                 "--maps", *maps)
+            self.assertEqual(result.returncode, 1, said)
+            lines = [line for line in result.stderr.splitlines()
+                     if "--transform" not in line]
+            self.assertEqual(len(lines), 1, result.stderr)
+            self.assertIn(said, lines[0])
+        for options, said in (
+                (("--transform", "nan", *self.truth[2:]), "not finite"),
+                (("--transform", 2, *self.truth[2:]), "no rotation"),
+                (("--transform", *self.truth[1:-1], 3), "16 numbers"),
+                (("--transform", 1), "--transform"),
+                (("--target", 0), "--target"),
+                (("--simulated", 1, 0, 0), "--simulated"),
+                (("--pairs", "x.yaml"), "--pairs")):
+            result = run_command("evaluate", "-o", self.work / "none",
+                                 "--maps", self.first, self.second, *options)
+            self.assertEqual(result.returncode, 2, options)
+            self.assertIn(said, result.stderr)
+        alone = run_command("evaluate", "-o", self.work / "none", *self.truth)
+        self.assertEqual(alone.returncode, 2)
+        self.assertFalse((self.work / "none").exists())
 
 
 if __name__ == "__main__":

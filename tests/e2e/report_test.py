@@ -81,6 +81,18 @@ class SampleReport(FolderTest):
             png = (folder / f"{picture}.png").read_bytes()
             self.assertEqual(png[:8], b"\x89PNG\r\n\x1a\n")
 
+    def test_takes_the_radius_that_a_count_asks_for(self):
+        source = ("sample", self.source, "-o", self.work / "few.csv",
+                  "--max-points", 5000)
+        printed = mapsieve(*source, "--report", self.work / "few")
+        self.assertEqual(printed["parameter"],
+                         mapsieve(*source)["parameter"])
+        report = json.loads((self.work / "few/report.json").read_text())
+        self.assertEqual(report["options"]["rho"], printed["parameter"])
+        self.assertEqual(report["rules"][0]["points_after_outliers"],
+                         printed["points_out"])
+        self.assertLessEqual(printed["points_out"], 5000)
+
     def test_says_what_to_install_where_gnuplot_is_absent(self):
         result = self.sample("bare", env={"PATH": str(self.work)})
         self.assertEqual(result.returncode, 1)

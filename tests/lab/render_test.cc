@@ -267,6 +267,40 @@ TEST(Renderer, LeavesOutPointsThatAreNowhere) {
   EXPECT_EQ(EncodePng(before).value(), EncodePng(after).value());
 }
 
+TEST(Renderer, DrawsWhatIsInTheBoxAlone) {
+  // A floor below a ceiling that hides it, and a point aside.
+  PointCloud cloud;
+  std::vector<uint8_t> labels;
+  for (int i = 0; i < 400; ++i) {
+    const double x = i % 20;
+    const double y = i / 20;  // NOLINT(bugprone-integer-division)
+    cloud.positions.insert(cloud.positions.end(), {{x, y, 0}, {x, y, 2.5}});
+    labels.insert(labels.end(), {3, 2});
+  }
+  cloud.positions.push_back({9, 9, 1});
+  labels.push_back(1);
+  cloud = MakeCloud<uint8_t>(cloud.positions, "label", labels);
+  RenderOptions options = Plain();
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(Image image, Render({cloud}, options));
+  EXPECT_EQ(CountPixels(image, LabelColor(Label::kSurface)), 0);
+  // Closed: what lies on a face is drawn.
+  options.box_min.x = 0;
+  options.box_max = {19, 19, 0};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(image, Render({cloud}, options));
+  EXPECT_GT(CountPixels(image, LabelColor(Label::kSurface)), 1000);
+  EXPECT_EQ(CountPixels(image, LabelColor(Label::kCurve)), 0);
+  EXPECT_EQ(CountPixels(image, LabelColor(Label::kJunction)), 0);
+  // The bounds are those of what is drawn.
+  options.box_min = {8.5, 8.5, 0.5};
+  options.box_max = {9.5, 9.5, 1.5};
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(image, Render({cloud}, options));
+  EXPECT_EQ(InkColor(image, {90, 90, 110, 110}), LabelColor(Label::kJunction));
+  options.box_max.z = 0.9;
+  EXPECT_THAT(Render({cloud}, options),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("in the box: there is nothing to draw")));
+}
+
 TEST(Renderer, RefusesACloudWithoutPoints) {
   EXPECT_THAT(Render({PointCloud{}}, Plain()),
               StatusIs(absl::StatusCode::kInvalidArgument,
@@ -415,6 +449,8 @@ TEST(RenderOptions, NamesTheFieldThatIsWrong) {
   expect_error([](auto& o) { o.width = o.height = 8192; }, "width x height");
   expect_error([&](auto& o) { o.azimuth_deg = nan; }, "azimuth_deg");
   expect_error([](auto& o) { o.elevation_deg = 91; }, "elevation_deg");
+  expect_error([](auto& o) { o.box_max.y = NAN; }, "box_min");
+  expect_error([](auto& o) { o.box_min.z = 1, o.box_max.z = 0; }, "box_min");
   expect_error([](auto& o) { o.point_size_px = 65; }, "point_size_px");
   expect_error([&](auto& o) { o.shading = nan; }, "shading");
   expect_error([](auto& o) { o.color_by = ""; }, "color_by");

@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "client/lab/room_survey.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/testing/status_matchers.h"
@@ -402,6 +403,51 @@ TEST(SimulateTest, PassesTheWritersErrorOn) {
   MemoryWriter writer;
   writer.refusal = absl::ResourceExhaustedError("disk full");
   EXPECT_EQ(Simulate({}, writer), writer.refusal);
+  EXPECT_FALSE(writer.finished);
+}
+
+std::vector<Point3> Rooms(const SimulateOptions& options) {
+  MemoryWriter writer;
+  MAPSIEVE_EXPECT_OK(SimulateRooms(options, writer));
+  EXPECT_TRUE(writer.finished);
+  return writer.positions;
+}
+
+TEST(SimulateRoomsTest, SeesRoomsFromInsideWithoutNoise) {
+  SimulateOptions options = {
+      .point_count = 100'000, .range_noise_m = 0, .spurious_share = 0};
+  const std::vector<Point3> points = Rooms(options);
+  ASSERT_EQ(points.size(), 100'000u);
+  int on_floor = 0;
+  int on_ceiling = 0;
+  for (const Point3& p : points) {
+    EXPECT_GT(p.z, -1e-6);
+    EXPECT_LT(p.z, 2.7 + 1e-6);
+    // Walls stand on the lines of the rooms, 20 cm to either side.
+    EXPECT_GT(std::min(p.x, p.y), -0.2);
+    EXPECT_LT(p.x, 16.2);
+    EXPECT_LT(p.y, 8.2);
+    on_floor += p.z < 1e-6 ? 1 : 0;
+    on_ceiling += p.z > 2.7 - 1e-6 ? 1 : 0;
+  }
+  EXPECT_GT(on_floor, 5000);
+  EXPECT_GT(on_ceiling, 5000);
+  // A longer survey begins as a shorter one; another seed is other rooms.
+  options.point_count = 40'000;
+  EXPECT_EQ(Rooms(options),
+            std::vector<Point3>(points.begin(), points.begin() + 40'000));
+  options.seed = 2;
+  EXPECT_NE(Rooms(options).front(), points.front());
+}
+
+TEST(SimulateRoomsTest, RefusesWhatNamesNoRooms) {
+  MemoryWriter writer;
+  EXPECT_EQ(SimulateRooms({.seed = uint64_t{1} << 31}, writer).code(),
+            absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(SimulateRooms({.point_count = -1}, writer).code(),
+            absl::StatusCode::kInvalidArgument);
+  writer.refusal = absl::ResourceExhaustedError("disk full");
+  EXPECT_EQ(SimulateRooms({}, writer), writer.refusal);
   EXPECT_FALSE(writer.finished);
 }
 
