@@ -499,6 +499,20 @@ void AddSamplerOptions(CLI::App& command, core::SamplerOptions& sampler) {
   command.add_option("--cell-edge", sampler.cell_edge_m,
                      "Of voxel, in map units; of octree: cells of this edge "
                      "are not divided");
+  AddChoice(command, "--cell-split",
+            std::map<std::string, core::CellSplit>{
+                {"fullest", core::CellSplit::kFullest},
+                {"widest", core::CellSplit::kWidest}},
+            sampler.cell_split,
+            "Of spatial-spdf, which cell is divided next: fullest (default, "
+            "the paper's) or widest, which counts points times the square of "
+            "the cell's edge and gives far places more: better for "
+            "registration");
+  command.add_option("--ideal-share", sampler.ideal_share,
+                     "Of spatial-spdf, in place of --outlier-share: share of "
+                     "the confidence of an ideal shape of the label, at the "
+                     "density aimed at, below which a point is an outlier; "
+                     "0.02 for registration");
   CLI::Option* representative = AddChoice(
       command, "--representative",
       std::map<std::string, core::Representative>{

@@ -197,6 +197,10 @@ absl::StatusOr<SampledScan> SampleScan(const VotedScan& scan,
   if (method.sampler == SampleMethod::kSpatialSpdf) {
     sampler.spdf.density_radius_m = kSpatialDensityRadius;
   }
+  if (method.is_wide) {
+    sampler.cell_split = core::CellSplit::kWidest;
+    sampler.ideal_share = kWideIdealShare;
+  }
   SampledScan result;
   MAPSIEVE_ASSIGN_OR_RETURN(const core::CloudSample sample,
                             TimedSample(scan.cloud, sampler, result.sample_s));

@@ -29,6 +29,7 @@ bool HasRepeats(const std::vector<T>& values) {
 std::string EvaluatedMethod::name() const {
   std::string name(core::SampleMethodName(sampler));
   if (rule == DensityRule::kQuota) name += "-quota";
+  if (is_wide) name += "-wide";
   return name;
 }
 
@@ -39,6 +40,7 @@ std::vector<EvaluatedMethod> EvaluatedMethods() {
   }
   methods.push_back({SampleMethod::kSpdf, DensityRule::kQuota});
   methods.push_back({SampleMethod::kSpatialSpdf, DensityRule::kQuota});
+  methods.push_back({SampleMethod::kSpatialSpdf, DensityRule::kQuota, true});
   return methods;
 }
 

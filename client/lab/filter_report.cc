@@ -256,16 +256,14 @@ FilterReport MakeFilterReport(const LatticeCloud& cloud,
                       .input_saliency = MeasureSaliencies(unfiltered.columns)};
   for (const Label label : kGeometricLabels) {
     const int dimension = LabelDimension(label);
-    const double strength = core::ExpectedStrength(
-        dimension, options.vote_scale_m2, options.density_radius_m);
-    constexpr double kVoterShare[] = {0.5, 0.25, 0};
     report.target_density[Index(label)] =
         options.neighbor_count /
         (UnitBallVolume(dimension) *
          std::pow(options.density_radius_m, dimension));
-    report.expected_strength[Index(label)] = strength;
-    report.expected_saliency[Index(label)] =
-        kVoterShare[dimension - 1] * strength * strength;
+    report.expected_strength[Index(label)] = core::ExpectedStrength(
+        dimension, options.vote_scale_m2, options.density_radius_m);
+    report.expected_saliency[Index(label)] = core::ExpectedSaliency(
+        dimension, options.vote_scale_m2, options.density_radius_m);
   }
   const BallCounter input = CounterOf(cloud, unfiltered.rows);
   for (const RuleRun& run : runs) {

@@ -120,11 +120,7 @@ struct FilterReport {
   PerLabel<double> target_density{};
   /// Mean vote weight of an ideal shape at that density.
   PerLabel<double> expected_strength{};
-  /// The saliency that such strengths give an ideal shape: a line's voters
-  /// carry strength/2 across it, a plane's strength/4 along its normal, a
-  /// volume's nothing, and votes multiply by the strength once more. For
-  /// infinitely many neighbours: the tensors of k voters in a volume differ by
-  /// chance, so its saliency is above 0.
+  /// core::ExpectedSaliency of it.
   PerLabel<double> expected_saliency{};
   /// Of the whole input, before any point was removed.
   core::LabelCounts input_label_counts{};

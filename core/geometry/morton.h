@@ -87,29 +87,40 @@ void ForEachDifference(std::span<const LatticePoint> a,
   }
 }
 
+/// The bit of a coordinate in which points of a cell differ first.
+struct MortonBit {
+  int64_t LatticePoint::*axis = nullptr;
+  /// -1 if they do not differ; 63 where coordinates have both signs.
+  int bit = -1;
+};
+
+/// The highest bit in which points of a range in Morton order differ: that of
+/// its `first` and its `last`. The smallest octree cell around them has an edge
+/// of 2^(bit + 1).
+constexpr MortonBit HighestMortonBit(const LatticePoint& first,
+                                     const LatticePoint& last) {
+  // Flipping the sign bits, which the order asks for, cancels out in the xor.
+  MortonBit highest;
+  for (const auto axis :
+       {&LatticePoint::z, &LatticePoint::y, &LatticePoint::x}) {
+    const auto differing = static_cast<uint64_t>(first.*axis ^ last.*axis);
+    const int bit = 63 - std::countl_zero(differing);
+    if (bit > highest.bit) highest = {axis, bit};
+  }
+  return highest;
+}
+
 /// Where the highest differing bit of the points [begin, end) changes: both
 /// sides are cells, or parts of cells, of the octree. `point(i)` gives the
 /// points, which are distinct, at least two, and in Morton order.
 template <typename PointAt>
 uint32_t MortonSplit(uint32_t begin, uint32_t end, const PointAt& point) {
-  // The first and the last point of a Morton range differ in the highest bit
-  // that differs anywhere in it, and the range is sorted by that bit first.
-  // Flipping the sign bits, which the order asks for, cancels out in the xor.
+  // The range is sorted by that bit first.
   const LatticePoint first = point(begin);
-  const LatticePoint last = point(end - 1);
-  int64_t LatticePoint::*axis = nullptr;
-  int bit = -1;
-  for (const auto candidate :
-       {&LatticePoint::z, &LatticePoint::y, &LatticePoint::x}) {
-    const auto differing =
-        static_cast<uint64_t>(first.*candidate ^ last.*candidate);
-    const int highest = 63 - std::countl_zero(differing);
-    if (highest > bit) {
-      bit = highest;
-      axis = candidate;
-    }
-  }
-  const auto side = [&](const LatticePoint& q) { return q.*axis >> bit & 1; };
+  const MortonBit highest = HighestMortonBit(first, point(end - 1));
+  const auto side = [&](const LatticePoint& q) {
+    return q.*highest.axis >> highest.bit & 1;
+  };
   const int64_t first_side = side(first);
   uint32_t low = begin;
   uint32_t high = end - 1;

@@ -8,6 +8,7 @@
 #include <queue>
 #include <span>
 #include <stop_token>
+#include <type_traits>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -67,38 +68,57 @@ absl::StatusOr<CellSample> RepresentCells(
     std::span<const CellRange> cells, Representative kind, int64_t seed,
     const ExecutionContext& context);
 
-/// Splits the points [0, size), at least one, in cells: the fullest cell, of
-/// equal ones the first, again and again, until there are `max_cells` of them
-/// or none has more than `max_points`. `split(cell)` gives the point where to
-/// split a cell of two points or more, inside it. kCancelled.
+/// Splits the points [0, size), at least one, in cells: the cell of largest
+/// `measure`, of equal ones the first, again and again, until there are
+/// `max_cells` of them or no measure is above `max_measure`.
+/// `measure(cell)` gives a number that is above max_measure only for cells of
+/// two points or more, `split(cell)` the point where to split such a cell,
+/// inside it. kCancelled.
+template <typename Measure, typename Split>
+absl::StatusOr<std::vector<CellRange>> SplitLargest(
+    uint32_t size, int64_t max_cells,
+    std::invoke_result_t<Measure, CellRange> max_measure,
+    const Measure& measure, const Split& split, const std::stop_token& stop) {
+  // Some milliseconds.
+  constexpr size_t kSplitsBetweenStops = 4096;
+  struct Measured {
+    std::invoke_result_t<Measure, CellRange> measure;
+    CellRange cell;
+    bool operator<(const Measured& other) const {
+      return measure != other.measure ? measure < other.measure
+                                      : cell.begin > other.cell.begin;
+    }
+  };
+  std::priority_queue<Measured> queue;
+  const auto push = [&](const CellRange& cell) {
+    queue.push({measure(cell), cell});
+  };
+  push({0, size});
+  while (static_cast<int64_t>(queue.size()) < max_cells &&
+         queue.top().measure > max_measure) {
+    if (queue.size() % kSplitsBetweenStops == 0 && stop.stop_requested()) {
+      return absl::CancelledError("cancelled");
+    }
+    const CellRange cell = queue.top().cell;
+    queue.pop();
+    const uint32_t middle = split(cell);
+    push({cell.begin, middle});
+    push({middle, cell.end});
+  }
+  std::vector<CellRange> cells;
+  cells.reserve(queue.size());
+  for (; !queue.empty(); queue.pop()) cells.push_back(queue.top().cell);
+  return cells;
+}
+
+/// The same for the fullest cell, until none has more than `max_points`.
 template <typename Split>
 absl::StatusOr<std::vector<CellRange>> SplitFullest(
     uint32_t size, int64_t max_cells, int64_t max_points, const Split& split,
     const std::stop_token& stop) {
-  // Some milliseconds.
-  constexpr size_t kSplitsBetweenStops = 4096;
-  const auto is_split_later = [](const CellRange& a, const CellRange& b) {
-    return a.size() != b.size() ? a.size() < b.size() : a.begin > b.begin;
-  };
-  std::priority_queue<CellRange, std::vector<CellRange>,
-                      decltype(is_split_later)>
-      queue(is_split_later);
-  queue.push({0, size});
-  while (static_cast<int64_t>(queue.size()) < max_cells &&
-         queue.top().size() > std::max<int64_t>(max_points, 1)) {
-    if (queue.size() % kSplitsBetweenStops == 0 && stop.stop_requested()) {
-      return absl::CancelledError("cancelled");
-    }
-    const CellRange cell = queue.top();
-    queue.pop();
-    const uint32_t middle = split(cell);
-    queue.push({cell.begin, middle});
-    queue.push({middle, cell.end});
-  }
-  std::vector<CellRange> cells;
-  cells.reserve(queue.size());
-  for (; !queue.empty(); queue.pop()) cells.push_back(queue.top());
-  return cells;
+  return SplitLargest(
+      size, max_cells, std::max<int64_t>(max_points, 1),
+      [](const CellRange& cell) { return int64_t{cell.size()}; }, split, stop);
 }
 
 }  // namespace mapsieve::core

@@ -312,11 +312,16 @@ absl::StatusOr<CloudSample> SampleBySpdf(const LatticeCloud& cloud,
                             FilterCloud(cloud, spdf, filter_context));
   CloudSample sample;
   if (is_spatial) {
-    const FilteredCloud kept = filtered.WithoutOutliers(spdf.outlier_share);
+    const FilteredCloud kept =
+        options.ideal_share > 0
+            ? filtered.WithoutOutliers(
+                  OutlierTest::OfIdealShapes(spdf, options.ideal_share))
+            : filtered.WithoutOutliers(spdf.outlier_share);
     MAPSIEVE_ASSIGN_OR_RETURN(
         const CellSample chosen,
         SampleUnderBudget(PositionsOf(cloud, kept), kept.columns.label,
-                          options.max_points, std::nullopt, context.stop));
+                          options.max_points, std::nullopt, context.stop,
+                          options.cell_split.value_or(CellSplit::kFullest)));
     sample = LabeledSample(cloud, kept, chosen.rows);
     if (options.ChosenRepresentative() == Representative::kCentroid) {
       MoveToCentroids(chosen.centroids, sample.cloud);

@@ -83,6 +83,14 @@ absl::Status SamplerOptions::Validate(const Lattice& lattice) const {
        is_octree || method == SampleMethod::kSsNormal},
       {"cell_edge_m", cell_edge_m, lattice.step(), HUGE_VAL,
        is_octree || method == SampleMethod::kVoxel}};
+  if (!is_spatial && cell_split.has_value()) {
+    return invalid("takes no cell_split");
+  }
+  if (!is_spatial && ideal_share != 0) return invalid("takes no ideal_share");
+  if (!(ideal_share >= 0 && ideal_share <= 1)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("ideal_share is ", ideal_share, "; it must be 0 to 1"));
+  }
   std::string of_method = "max_points";
   bool is_given = false;
   for (const Parameter& p : parameters) {

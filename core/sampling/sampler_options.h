@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "core/geometry/lattice.h"
 #include "core/sampling/cells.h"
+#include "core/sampling/spatial_budget.h"
 #include "core/spdf/spdf_options.h"
 
 namespace mapsieve::core {
@@ -73,6 +74,13 @@ struct SamplerOptions {
   /// (kCentroid), kSsNormal (kNearest) and kSpatialSpdf (kNearest or
   /// kCentroid).
   std::optional<Representative> representative;
+
+  /// Of kSpatialSpdf: which cell is divided next; kFullest unless given.
+  std::optional<CellSplit> cell_split;
+  /// Of kSpatialSpdf, in place of spdf.outlier_share, up to 1: a point is an
+  /// outlier if its confidence is below this share of an ideal shape's
+  /// (OutlierTest::OfIdealShapes), whatever the rest of the map is.
+  double ideal_share = 0;
 
   /// Of kSpdf and kSpatialSpdf; its votes are also where kNss and kCovs have
   /// their normals from. seed is that of every method. max_points makes kSpdf

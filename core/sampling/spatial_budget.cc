@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <numeric>
 #include <utility>
 #include <vector>
@@ -83,12 +84,21 @@ std::array<int64_t, kLabelCount> ShareByWeights(const LabelCounts& counts,
   }
 }
 
+/// log2 of the volume of the smallest octree cell, or half or quarter of one,
+/// around a range in Morton order with these ends.
+int LogVolume(const LatticePoint& first, const LatticePoint& last) {
+  const MortonBit highest = HighestMortonBit(first, last);
+  return 3 * highest.bit + (highest.axis == &LatticePoint::x   ? 1
+                            : highest.axis == &LatticePoint::y ? 2
+                                                               : 3);
+}
+
 }  // namespace
 
 absl::StatusOr<CellSample> SampleUnderBudget(
     std::span<const LatticePoint> positions, std::span<const Label> labels,
     int64_t budget, const std::optional<LabelWeights>& weights,
-    std::stop_token stop) {
+    std::stop_token stop, CellSplit split) {
   if (positions.size() != labels.size()) {
     return absl::InvalidArgumentError(
         absl::StrCat(positions.size(), " positions but ", labels.size(),
@@ -114,14 +124,21 @@ absl::StatusOr<CellSample> SampleUnderBudget(
       if (static_cast<size_t>(labels[i]) == l) order.push_back(i);
     }
     const std::span<const uint32_t> rows = std::span(order).subspan(first);
+    const auto point = [&](uint32_t i) { return positions[rows[i]]; };
+    const auto measure = [&](const CellRange& cell) {
+      if (cell.size() == 1) return 0.0;
+      const auto count = static_cast<double>(cell.size());
+      if (split == CellSplit::kFullest) return count;
+      // Its cube: no root is needed, and a power of two rounds nothing.
+      return std::ldexp(count * count * count,
+                        2 * LogVolume(point(cell.begin), point(cell.end - 1)));
+    };
     MAPSIEVE_ASSIGN_OR_RETURN(
         const std::vector<CellRange> of_label,
-        SplitFullest(
-            static_cast<uint32_t>(rows.size()), shares[l], 1,
+        SplitLargest(
+            static_cast<uint32_t>(rows.size()), shares[l], 0.0, measure,
             [&](const CellRange& cell) {
-              return MortonSplit(cell.begin, cell.end, [&](uint32_t i) {
-                return positions[rows[i]];
-              });
+              return MortonSplit(cell.begin, cell.end, point);
             },
             stop));
     for (const CellRange& cell : of_label) {

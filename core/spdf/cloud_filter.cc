@@ -94,8 +94,7 @@ class MemoryTileStore final : public TileStore {
 
 }  // namespace
 
-std::vector<uint32_t> FilteredCloud::Inliers(double outlier_share) const {
-  const OutlierTest test(summary.max_confidence, outlier_share);
+std::vector<uint32_t> FilteredCloud::Inliers(const OutlierTest& test) const {
   std::vector<uint32_t> inliers;
   for (uint32_t i = 0; i < rows.size(); ++i) {
     if (test.Keeps(columns.label[i], columns.confidence[i])) {
@@ -105,12 +104,20 @@ std::vector<uint32_t> FilteredCloud::Inliers(double outlier_share) const {
   return inliers;
 }
 
-FilteredCloud FilteredCloud::WithoutOutliers(double outlier_share) const {
-  const std::vector<uint32_t> inliers = Inliers(outlier_share);
+std::vector<uint32_t> FilteredCloud::Inliers(double outlier_share) const {
+  return Inliers(OutlierTest(summary.max_confidence, outlier_share));
+}
+
+FilteredCloud FilteredCloud::WithoutOutliers(const OutlierTest& test) const {
+  const std::vector<uint32_t> inliers = Inliers(test);
   FilteredCloud kept{.columns = columns.Select(inliers), .summary = summary};
   kept.rows.reserve(inliers.size());
   for (const uint32_t i : inliers) kept.rows.push_back(rows[i]);
   return kept;
+}
+
+FilteredCloud FilteredCloud::WithoutOutliers(double outlier_share) const {
+  return WithoutOutliers(OutlierTest(summary.max_confidence, outlier_share));
 }
 
 absl::StatusOr<FilteredCloud> FilterCloud(const LatticeCloud& cloud,

@@ -26,9 +26,12 @@ struct FilteredCloud {
   LabelColumns columns;
   SpdfSummary summary;
 
-  /// Numbers (into `rows`) of the points that are no outliers.
+  /// Numbers (into `rows`) of the points that are no outliers; with a share, by
+  /// the largest confidences of the cloud.
+  std::vector<uint32_t> Inliers(const OutlierTest& test) const;
   std::vector<uint32_t> Inliers(double outlier_share) const;
   /// The same without the outliers; `summary` stays that of the filter.
+  FilteredCloud WithoutOutliers(const OutlierTest& test) const;
   FilteredCloud WithoutOutliers(double outlier_share) const;
 };
 

@@ -63,6 +63,20 @@ OutlierTest::OutlierTest(const MaxConfidence& max_confidence,
   }
 }
 
+OutlierTest OutlierTest::OfIdealShapes(const SpdfOptions& options,
+                                       double share) {
+  constexpr double kFullConfidence = 65535;
+  OutlierTest test;
+  for (size_t l = 0; l < kLabelCount; ++l) {
+    const int dimension = static_cast<Label>(l) == Label::kCurve ? 1 : 2;
+    test.threshold_[l] = static_cast<uint32_t>(
+        std::ceil(share * kFullConfidence *
+                  ExpectedSaliency(dimension, options.vote_scale_m2,
+                                   options.density_radius_m)));
+  }
+  return test;
+}
+
 MaxConfidence UpdateMaxConfidence(const LabelSpans& columns,
                                   MaxConfidence so_far) {
   for (size_t i = 0; i < columns.size(); ++i) {

@@ -8,6 +8,7 @@
 #include "core/base/bulk_vector.h"
 #include "core/cloud/label.h"
 #include "core/geometry/octahedral.h"
+#include "core/spdf/spdf_options.h"
 
 namespace mapsieve::core {
 
@@ -64,12 +65,19 @@ class OutlierTest {
  public:
   OutlierTest(const MaxConfidence& max_confidence, double outlier_share);
 
+  /// Decides by a share of the saliency of an ideal shape of the point's label
+  /// at the density that `options` aim at (ExpectedSaliency), a junction's that
+  /// of a surface: whatever else the map holds.
+  static OutlierTest OfIdealShapes(const SpdfOptions& options, double share);
+
   bool Keeps(Label label, uint16_t confidence) const {
     return label != Label::kNone &&
            confidence >= threshold_[static_cast<size_t>(label)];
   }
 
  private:
+  OutlierTest() = default;
+
   std::array<uint32_t, kLabelCount> threshold_{};
 };
 

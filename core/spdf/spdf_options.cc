@@ -103,6 +103,14 @@ double ExpectedStrength(int dimension, double vote_scale_m2,
   }
 }
 
+double ExpectedSaliency(int dimension, double vote_scale_m2,
+                        double density_radius_m) {
+  constexpr double kVoterShare[] = {0.5, 0.25, 0};
+  const double strength =
+      ExpectedStrength(dimension, vote_scale_m2, density_radius_m);
+  return kVoterShare[dimension - 1] * strength * strength;
+}
+
 SpdfConstants MakeSpdfConstants(const SpdfOptions& options,
                                 const Lattice& lattice) {
   SpdfConstants constants;

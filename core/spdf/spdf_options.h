@@ -92,6 +92,14 @@ int64_t RadiusD2(double radius_m, const Lattice& lattice);
 double ExpectedStrength(int dimension, double vote_scale_m2,
                         double density_radius_m);
 
+/// The saliency that such strengths give a point of an ideal shape: a line's
+/// voters carry strength/2 across it, a plane's strength/4 along its normal, a
+/// volume's nothing, and votes multiply by the strength once more. For
+/// infinitely many neighbours: the tensors of k voters in a volume differ by
+/// chance, so its saliency is above 0.
+double ExpectedSaliency(int dimension, double vote_scale_m2,
+                        double density_radius_m);
+
 }  // namespace mapsieve::core
 
 #endif  // MAPSIEVE_CORE_SPDF_SPDF_OPTIONS_H_

@@ -279,6 +279,49 @@ TEST(Sampler, TheSeedChangesWhatIsDrawn) {
   }
 }
 
+TEST(Sampler, OutliersByIdealShapesAreTheSameWhateverElseThereIs) {
+  // Ground with a few points to each ball, and far away ground with many.
+  const LatticeCloud ground = testing::PlaneCloud(2000, 5, 8);
+  const LatticeCloud both = testing::Concatenated(
+      ground, testing::Shifted(testing::PlaneCloud(4000, 1, 9), {50000, 0, 0}));
+  const auto kept_ground = [](const LatticeCloud& cloud,
+                              const SamplerOptions& options) {
+    std::vector<LatticePoint> kept = Sample(cloud, options)->cloud.positions;
+    std::erase_if(kept, [](const LatticePoint& q) { return q.x > 40000; });
+    return kept;
+  };
+  SamplerOptions options = {.method = SampleMethod::kSpatialSpdf,
+                            .max_points = 100000,
+                            .spdf = {.density_radius_m = 0.2,
+                                     .rule = DensityRule::kQuota,
+                                     .outlier_share = 0.3}};
+  // A share of the largest confidence, that of the dense ground.
+  EXPECT_NE(kept_ground(both, options), kept_ground(ground, options));
+  options.ideal_share = 0.02;
+  const std::vector<LatticePoint> kept = kept_ground(ground, options);
+  EXPECT_EQ(kept_ground(both, options), kept);
+  EXPECT_GT(kept.size(), 0u);
+  EXPECT_LT(kept.size(), ground.size());
+  // It takes the place of the other share.
+  options.spdf.outlier_share = 1;
+  EXPECT_EQ(kept_ground(both, options), kept);
+}
+
+TEST(Sampler, IdealSharesAreThoseOfTheLabelsSaliency) {
+  // 0.5 xi_1^2 and 0.25 xi_2^2 at sigma = rho = 0.2, times 65535 / 2.
+  const OutlierTest test =
+      OutlierTest::OfIdealShapes({.density_radius_m = 0.2}, 0.5);
+  const auto lowest_kept = [&](Label label) {
+    uint16_t confidence = 0;
+    while (confidence < 65535 && !test.Keeps(label, confidence)) ++confidence;
+    return confidence;
+  };
+  EXPECT_NEAR(lowest_kept(Label::kCurve), 14389, 1);
+  EXPECT_NEAR(lowest_kept(Label::kSurface), 6730, 1);
+  EXPECT_NEAR(lowest_kept(Label::kJunction), 6730, 1);
+  EXPECT_FALSE(test.Keeps(Label::kNone, 65535));
+}
+
 TEST(Sampler, SaysWhatIsWrongWithItsOptions) {
   const Lattice lattice;
   using Method = SampleMethod;
@@ -306,6 +349,13 @@ TEST(Sampler, SaysWhatIsWrongWithItsOptions) {
         .max_points = 9,
         .representative = Representative::kFirst},
        "nearest and centroid"},
+      {{.method = Method::kOctree,
+        .max_points = 9,
+        .cell_split = CellSplit::kWidest},
+       "takes no cell_split"},
+      {{.method = Method::kSpdf, .ideal_share = 0.1}, "takes no ideal_share"},
+      {{.method = Method::kSpatialSpdf, .max_points = 9, .ideal_share = 1.5},
+       "ideal_share is 1.5; it must be 0 to 1"},
       {{.method = Method::kCovs, .max_points = 9, .spdf = {.vote_scale_m2 = 0}},
        "vote_scale_m2"},
       {{.method = Method::kMaxDensity,

@@ -1,7 +1,11 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
 #include <numeric>
+#include <optional>
+#include <utility>
+#include <vector>
 
 #include "core/cloud/merge_duplicates.h"
 #include "core/sampling/random_sample.h"
@@ -147,6 +151,100 @@ TEST(SampleUnderBudget, SpreadsAUniformSurfaceEvenly) {
                                       (q.y + 2000) / 1001)];
   }
   for (const int count : per_quarter) EXPECT_NEAR(count, 100, 25);
+}
+
+/// Points of a cell in Morton order and log2 of the cell's volume.
+struct OracleCell {
+  std::vector<LatticePoint> points;
+  int log_volume = 0;
+  /// The halves along the first bit, of z, y and x, in which points differ.
+  std::array<std::vector<LatticePoint>, 2> halves;
+};
+
+OracleCell MakeOracleCell(std::vector<LatticePoint> points) {
+  OracleCell cell{.points = std::move(points)};
+  for (int bit = 63; bit >= 0; --bit) {
+    int part = 3;
+    for (const auto axis :
+         {&LatticePoint::z, &LatticePoint::y, &LatticePoint::x}) {
+      cell.halves = {};
+      for (const LatticePoint& q : cell.points) {
+        const bool is_set = (q.*axis >> bit & 1) != 0;
+        // Negative numbers, whose sign bit is set, come first.
+        cell.halves[is_set == (bit < 63) ? 1 : 0].push_back(q);
+      }
+      if (!cell.halves[0].empty() && !cell.halves[1].empty()) {
+        cell.log_volume = 3 * bit + part;
+        return cell;
+      }
+      --part;
+    }
+  }
+  return cell;
+}
+
+TEST(SampleUnderBudget, TheWidestCellIsHalvedFirst) {
+  const std::vector<LatticePoint> positions =
+      DistinctPoints(testing::SceneCloud(400, 3, 7).positions);
+  const std::vector<Label> labels(positions.size(), Label::kSurface);
+  std::vector<OracleCell> cells = {MakeOracleCell(positions)};
+  while (cells.size() < 120) {
+    size_t widest = 0;
+    double largest = 0;
+    for (size_t c = 0; c < cells.size(); ++c) {
+      if (cells[c].points.size() < 2) continue;
+      const double width = static_cast<double>(cells[c].points.size()) *
+                           std::exp2(cells[c].log_volume / 1.5);
+      if (width > largest * (1 + 1e-9)) {
+        largest = width;
+        widest = c;
+      }
+    }
+    const auto place = cells.begin() + static_cast<ptrdiff_t>(widest);
+    const OracleCell cell = std::move(*place);
+    *place = MakeOracleCell(cell.halves[1]);
+    cells.insert(place, MakeOracleCell(cell.halves[0]));
+
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+        const CellSample sample,
+        SampleUnderBudget(positions, labels, static_cast<int64_t>(cells.size()),
+                          std::nullopt, {}, CellSplit::kWidest));
+    // Both are in Morton order.
+    ASSERT_EQ(sample.rows.size(), cells.size());
+    for (size_t c = 0; c < cells.size(); ++c) {
+      ASSERT_NE(std::find(cells[c].points.begin(), cells[c].points.end(),
+                          positions[sample.rows[c]]),
+                cells[c].points.end())
+          << cells.size() << " cells, cell " << c;
+    }
+  }
+}
+
+TEST(SampleUnderBudget, WidestTakesTheSquareRootOfASurfacesDensity) {
+  // Sixteen times as dense on the left.
+  const LatticeCloud cloud = testing::Concatenated(
+      testing::Shifted(testing::PlaneCloud(48000, 2, 8), {-2001, 0, 0}),
+      testing::Shifted(testing::PlaneCloud(3000, 2, 9), {2001, 0, 0}));
+  const std::vector<LatticePoint> positions = DistinctPoints(cloud.positions);
+  const std::vector<Label> labels(positions.size(), Label::kSurface);
+  const auto ratio = [&](CellSplit split, int64_t budget) {
+    const CellSample sample =
+        *SampleUnderBudget(positions, labels, budget, std::nullopt, {}, split);
+    const auto left =
+        std::count_if(sample.rows.begin(), sample.rows.end(),
+                      [&](uint32_t row) { return positions[row].x < 0; });
+    return static_cast<double>(left) /
+           static_cast<double>(sample.rows.size() - static_cast<size_t>(left));
+  };
+  double widest = 0;
+  double fullest = 0;
+  const std::array<int64_t, 4> budgets = {400, 566, 800, 1131};
+  for (const int64_t budget : budgets) {
+    widest += ratio(CellSplit::kWidest, budget) / budgets.size();
+    fullest += ratio(CellSplit::kFullest, budget) / budgets.size();
+  }
+  EXPECT_NEAR(widest, 4, 0.8);
+  EXPECT_NEAR(fullest, 16, 3);
 }
 
 TEST(SampleUnderBudget, RefusesUnequalLengthsAndNegativeBudgets) {

@@ -84,6 +84,17 @@ class Sample(FolderTest):
         _, default = self.sample(*options)
         self.assertEqual(default, samples["centroid"])
 
+    def test_spatial_budgets_by_width_and_ideal_shapes(self):
+        options = ("--method", "spatial-spdf", "--max-points", "500")
+        _, fullest = self.sample(*options)
+        _, same = self.sample(*options, "--cell-split", "fullest")
+        _, widest = self.sample(*options, "--cell-split", "widest")
+        _, ideal = self.sample(*options, "--ideal-share", "0.02")
+        self.assertEqual(same, fullest)
+        for other in (widest, ideal):
+            self.assertEqual(len(other), 500)
+            self.assertNotEqual(other, fullest)
+
     def test_refuses_what_does_not_belong_together(self):
         for options in (
                 ("voxel",), ("nss",), ("spatial-spdf",), ("random",),
@@ -94,6 +105,9 @@ class Sample(FolderTest):
                 ("random", "--max-points", "5", "--centroids"),
                 ("spatial-spdf", "--max-points", "5", "--representative",
                  "first"),
+                ("octree", "--max-points", "5", "--cell-split", "widest"),
+                ("spdf", "--ideal-share", "0.02"),
+                ("spatial-spdf", "--max-points", "5", "--ideal-share", "2"),
                 ("voxel", "--cell-edge", "0.0001"),
                 ("octree", "--max-points", "5", "--centroids",
                  "--representative", "first")):

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <fstream>
 #include <memory>
+#include <set>
 #include <sstream>
 #include <stop_token>
 #include <string>
@@ -137,6 +138,42 @@ TEST(Evaluation, IsTheSameForAnyNumberOfThreads) {
                                    folder / "four.csv",
                                    {.executor = workers.get()}));
   EXPECT_EQ(Results(folder / "one.csv"), Results(folder / "four.csv"));
+}
+
+TEST(Evaluation, ComparesNamedMethodsOfDifferentSamples) {
+  const TemporaryDirectory folder;
+  EvaluationOptions options;
+  std::set<std::string> names;
+  for (const EvaluatedMethod& method : options.methods) {
+    names.insert(method.name());
+  }
+  EXPECT_EQ(names.size(), options.methods.size());
+  EXPECT_TRUE(names.contains("spatial-spdf"));
+  EXPECT_TRUE(names.contains("spatial-spdf-quota"));
+  EXPECT_TRUE(names.contains("spatial-spdf-quota-wide"));
+
+  // Two draws of one scene, so that every sample has an error of its own.
+  options.methods = {
+      {SampleMethod::kSpatialSpdf},
+      {SampleMethod::kSpatialSpdf, core::DensityRule::kQuota},
+      {SampleMethod::kSpatialSpdf, core::DensityRule::kQuota, true}};
+  options.icp_methods = {IcpMethod::kPlaneToPlane};
+  options.counts = {300};
+  options.trial_count = 1;
+  const std::vector<PairSource> pairs = {
+      {"scene", Environment::kStructured, [] {
+         return absl::StatusOr<ScanPair>(
+             ScanPair{mapsieve::testing::SceneCloud(6000, 3, 1),
+                      mapsieve::testing::SceneCloud(6000, 3, 2),
+                      {}});
+       }}};
+  MAPSIEVE_ASSERT_OK(RunEvaluation(options, pairs, folder / "trials.csv"));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<Trial> trials,
+                                ReadTrials(folder / "trials.csv"));
+  ASSERT_EQ(trials.size(), 3u);
+  std::set<double> errors;
+  for (const Trial& trial : trials) errors.insert(trial.translation_error_m);
+  EXPECT_EQ(errors.size(), 3u);
 }
 
 TEST(Evaluation, RefusesTheFileOfAnother) {
