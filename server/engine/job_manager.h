@@ -31,7 +31,7 @@ struct JobLimits {
 };
 
 /// Runs operations: one that filters and one that changes points at a time,
-/// and never two on one map, in the order of their creation otherwise. They are
+/// each kind in the order of creation, but never two on one map. They are
 /// recorded in the catalogue, so that those that are not done when the process
 /// ends are run again by the next manager: what runs them must be idempotent.
 /// Thread-safe.

@@ -178,11 +178,15 @@ class DocumentedErrorsTest : public ServiceTest {
     return operation;
   }
 
-  // Processes maps/campus, but reads no chunk before files_.Release().
+  // Processes maps/campus, and waits at its first chunk until files_.Release():
+  // other operations on the map wait for it.
   v1::Operation StartHeldRun() {
     files_.Hold("/blobs/");
-    return Start("ProcessingService.ProcessMap",
-                 "name: 'maps/campus' options { density_radius_m: 0.9 }");
+    const v1::Operation run =
+        Start("ProcessingService.ProcessMap",
+              "name: 'maps/campus' options { density_radius_m: 0.9 }");
+    files_.AwaitHeld();
+    return run;
   }
 
   absl::Status Cancel(const v1::Operation& operation) {

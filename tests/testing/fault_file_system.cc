@@ -137,7 +137,12 @@ void FaultFileSystem::Release() {
     MutexLock lock(mutex_);
     held_.reset();
   }
-  released_.notify_all();
+  hold_changed_.notify_all();
+}
+
+void FaultFileSystem::AwaitHeld() {
+  MutexLock lock(mutex_);
+  while (waiting_count_ == 0) hold_changed_.wait(mutex_);
 }
 
 FaultFileSystem::Verdict FaultFileSystem::Judge(const char* kind) {
@@ -172,8 +177,14 @@ absl::StatusOr<std::unique_ptr<storage::File>> FaultFileSystem::Open(
     const std::string& path, storage::OpenMode mode) {
   {
     MutexLock lock(mutex_);
-    while (held_.has_value() && path.find(*held_) != std::string::npos) {
-      released_.wait(mutex_);
+    const auto is_held = [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+      return held_.has_value() && path.find(*held_) != std::string::npos;
+    };
+    if (is_held()) {
+      ++waiting_count_;
+      hold_changed_.notify_all();
+      while (is_held()) hold_changed_.wait(mutex_);
+      --waiting_count_;
     }
   }
   std::unique_ptr<storage::File> file;

@@ -49,6 +49,8 @@ class FaultFileSystem final : public storage::FileSystem {
 
   /// Open of a path that contains `part` waits until Release is called.
   void Hold(const std::string& part);
+  /// Returns once an Open waits.
+  void AwaitHeld();
   void Release();
 
   enum class Loss {
@@ -116,7 +118,8 @@ class FaultFileSystem final : public storage::FileSystem {
   std::map<std::string, int64_t> calls_ ABSL_GUARDED_BY(mutex_);
   std::optional<int64_t> free_bytes_ ABSL_GUARDED_BY(mutex_);
   std::optional<std::string> held_ ABSL_GUARDED_BY(mutex_);
-  ConditionVariable released_;
+  int waiting_count_ ABSL_GUARDED_BY(mutex_) = 0;
+  ConditionVariable hold_changed_;
   Names names_ ABSL_GUARDED_BY(mutex_);
   Names durable_names_ ABSL_GUARDED_BY(mutex_);
 };
