@@ -218,6 +218,8 @@ void PrintStreams(const BenchOptions& options, const std::string& yardstick) {
       v1::QueryRegionRequest request;
       request.set_name("maps/" + options.map_id);
       request.set_plain_blocks(plain);
+      // As the client library asks.
+      request.set_packed_columns(true);
       request.set_raw(row.raw);
       v1::ColumnSelection& columns = *request.mutable_columns();
       for (const FilterColumn column : row.columns.filter_columns) {
