@@ -278,9 +278,11 @@ class DepthsRun {
         boxes.insert(boxes.end(), in_reach[n].begin(), in_reach[n].end());
       }
       MAPSIEVE_ASSIGN_OR_RETURN(const LoadedUnit loaded,
-                                units.LoadNear(unit, boxes, radius));
+                                previous_ == nullptr
+                                    ? units.Load(unit, radius)
+                                    : units.LoadNear(unit, boxes, radius));
       WorkUnit& work = *loaded.work;
-      ChoosePoints(in_reach, loaded);
+      if (previous_ != nullptr) ChoosePoints(in_reach, loaded);
       MAPSIEVE_RETURN_IF_ERROR(work.RunQuota(radius_d2, context_));
       for (const LoadedTile& tile : loaded.tiles) {
         if (!tile.is_core) continue;
