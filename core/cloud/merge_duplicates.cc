@@ -4,6 +4,7 @@
 #include <array>
 #include <bit>
 #include <cstring>
+#include <numeric>
 #include <unordered_set>
 #include <utility>
 
@@ -136,6 +137,44 @@ uint64_t CodeInCell(const LatticePoint& q) {
                     static_cast<uint64_t>(q.z & kMask));
 }
 
+/// Where each of the runs of ascending rows of `positions` starts, and at the
+/// end where the last one ends; empty if there are too many to merge them.
+std::vector<size_t> AscendingRuns(std::span<const LatticePoint> positions) {
+  constexpr size_t kMaxRuns = 8;
+  std::vector<size_t> starts = {0};
+  for (size_t i = 1; i < positions.size(); ++i) {
+    if (!MortonLess(positions[i], positions[i - 1])) continue;
+    if (starts.size() == kMaxRuns) return {};
+    starts.push_back(i);
+  }
+  starts.push_back(positions.size());
+  return starts;
+}
+
+/// The rows in Morton order, of runs as AscendingRuns gives them.
+std::vector<uint32_t> MergeRuns(std::span<const LatticePoint> positions,
+                                std::vector<size_t> starts) {
+  std::vector<uint32_t> order(positions.size());
+  std::iota(order.begin(), order.end(), uint32_t{0});
+  const auto at = [&order](size_t i) {
+    return order.begin() + static_cast<ptrdiff_t>(i);
+  };
+  while (starts.size() > 2) {
+    std::vector<size_t> merged;
+    for (size_t r = 0; r + 1 < starts.size(); r += 2) {
+      merged.push_back(starts[r]);
+      if (r + 2 == starts.size()) break;
+      std::inplace_merge(at(starts[r]), at(starts[r + 1]), at(starts[r + 2]),
+                         [positions](uint32_t a, uint32_t b) {
+                           return MortonLess(positions[a], positions[b]);
+                         });
+    }
+    merged.push_back(starts.back());
+    starts = std::move(merged);
+  }
+  return order;
+}
+
 /// Negative, zero or positive as row `a` orders before, equal to or after `b`.
 int CompareAttributes(std::span<const Column* const> columns, uint32_t a,
                       uint32_t b) {
@@ -153,8 +192,17 @@ int CompareAttributes(std::span<const Column* const> columns, uint32_t a,
 
 }  // namespace
 
+bool IsMortonSorted(std::span<const LatticePoint> positions) {
+  return std::is_sorted(positions.begin(), positions.end(),
+                        [](const LatticePoint& a, const LatticePoint& b) {
+                          return MortonLess(a, b);
+                        });
+}
+
 std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
                                   Executor& executor) {
+  std::vector<size_t> runs = AscendingRuns(positions);
+  if (!runs.empty()) return MergeRuns(positions, std::move(runs));
   // Codes of whole coordinates do not fit 64 bits: cells come first, then the
   // codes within each.
   const std::vector<CellKey> cells = FindCells(executor, positions);

@@ -10,6 +10,9 @@
 
 namespace mapsieve::core {
 
+/// Whether `positions` are in Morton order.
+bool IsMortonSorted(std::span<const LatticePoint> positions);
+
 /// The rows of `positions` in Morton order; rows of one lattice point keep
 /// their order. At most 2^32 - 1 rows.
 std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,

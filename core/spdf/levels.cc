@@ -30,6 +30,11 @@ LatticeBox Intersection(const LatticeBox& a, const LatticeBox& b) {
            std::min(a.max.z, b.max.z)}};
 }
 
+bool IsInAny(std::span<const LatticeBox> boxes, const LatticePoint& q) {
+  return std::any_of(boxes.begin(), boxes.end(),
+                     [&q](const LatticeBox& box) { return box.Contains(q); });
+}
+
 /// Points of one level of detail in one place: in a cell that the run made, or
 /// as they were before in a tile.
 struct LevelPart {
@@ -273,7 +278,9 @@ class DepthsRun {
         boxes.insert(boxes.end(), in_reach[n].begin(), in_reach[n].end());
       }
       MAPSIEVE_ASSIGN_OR_RETURN(const LoadedUnit loaded,
-                                units.Load(unit, boxes, radius));
+                                previous_ == nullptr
+                                    ? units.Load(unit, radius)
+                                    : units.LoadNear(unit, boxes, radius));
       WorkUnit& work = *loaded.work;
       if (previous_ != nullptr) ChoosePoints(in_reach, loaded);
       MAPSIEVE_RETURN_IF_ERROR(work.RunQuota(radius_d2, context_));
@@ -281,8 +288,8 @@ class DepthsRun {
         if (!tile.is_core) continue;
         const CellKey& node = cells[tile.tile];
         MAPSIEVE_RETURN_IF_ERROR(LoadBefore(level, KnownTilesIn(node)));
-        MAPSIEVE_RETURN_IF_ERROR(
-            AddNode(level, node, MembersOf(tile, work), made));
+        MAPSIEVE_RETURN_IF_ERROR(AddNode(
+            level, node, MembersOf(tile, in_reach.at(tile.tile), work), made));
       }
     }
     return absl::OkStatus();
@@ -299,36 +306,31 @@ class DepthsRun {
           if (!tile.is_core) return;
           const std::vector<LatticeBox>& of_node = boxes.at(tile.tile);
           for (size_t i = tile.begin; i < tile.end; ++i) {
-            const LatticePoint q = work.Position(i);
-            work.core()[i] = std::any_of(of_node.begin(), of_node.end(),
-                                         [&](const LatticeBox& box) {
-                                           return box.Contains(q);
-                                         })
-                                 ? 1
-                                 : 0;
+            work.core()[i] = IsInAny(of_node, work.Position(i)) ? 1 : 0;
           }
         });
   }
 
-  /// The points of the level that was made in a node: of the unit's core those
-  /// that rule kQuota left, of the others those in before_. Valid until the
-  /// next call.
+  /// The points of the level that was made in a node: in `boxes` those that
+  /// rule kQuota left, elsewhere those of before_. Valid until the next call.
   std::span<const LatticePoint> MembersOf(const LoadedTile& node,
+                                          std::span<const LatticeBox> boxes,
                                           WorkUnit& work) {
-    members_.resize(node.end - node.begin);
-    size_t size = 0;
-    size_t old = 0;
-    for (size_t i = node.begin; i < node.end; ++i) {
-      const LatticePoint q = work.SurvivorPosition(i);
-      members_[size] = q;
-      if (work.core()[i] != 0) {
-        size += work.deaths()[i] == kAlive ? 1 : 0;
-        continue;
+    members_.clear();
+    auto old = before_.begin();
+    const auto add_old = [&](const auto& is_next) {
+      for (; old != before_.end() && is_next(*old); ++old) {
+        if (!IsInAny(boxes, *old)) members_.push_back(*old);
       }
-      while (old < before_.size() && MortonLess(before_[old], q)) ++old;
-      size += old < before_.size() && before_[old] == q ? 1 : 0;
+    };
+    for (size_t i = node.begin; i < node.end; ++i) {
+      if (work.core()[i] == 0 || work.deaths()[i] != kAlive) continue;
+      const LatticePoint q = work.SurvivorPosition(i);
+      add_old([&q](const LatticePoint& p) { return MortonLess(p, q); });
+      members_.push_back(q);
     }
-    return std::span(members_).first(size);
+    add_old([](const LatticePoint&) { return true; });
+    return members_;
   }
 
   /// before_: what the node held.

@@ -10,9 +10,6 @@ namespace {
 /// PointIndex::kMaxCoordinate is for the halo.
 constexpr int64_t kMaxUnitExtent = int64_t{1} << 29;
 
-/// Points of tiles that are loaded, or answered for, at a time.
-constexpr int64_t kBatchPointsPerWorker = 1 << 16;
-
 bool IsTooWide(const LatticeBox& box) {
   return box.max.x - box.min.x > kMaxUnitExtent ||
          box.max.y - box.min.y > kMaxUnitExtent ||
@@ -114,43 +111,60 @@ std::unordered_map<size_t, std::vector<LatticeBox>> PointUnits::HaloTiles(
 absl::StatusOr<LoadedUnit> PointUnits::Load(const Unit& unit,
                                             std::span<const LatticeBox> boxes,
                                             int64_t margin) {
+  return Load(unit, HaloTiles(unit, boxes, margin), /*whole_core=*/true);
+}
+
+absl::StatusOr<LoadedUnit> PointUnits::LoadNear(
+    const Unit& unit, std::span<const LatticeBox> boxes, int64_t margin) {
+  return Load(unit, HaloTiles({}, boxes, margin), /*whole_core=*/false);
+}
+
+/// The points of `near`, and all of the unit's tiles if asked for.
+absl::StatusOr<LoadedUnit> PointUnits::Load(const Unit& unit,
+                                            const HaloOf& near,
+                                            bool whole_core) {
   LoadedUnit loaded;
-  const HaloOf halo = HaloTiles(unit, boxes, margin);
   std::vector<size_t> wanted = unit;
-  for (const auto& [tile, near] : halo) wanted.push_back(tile);
+  for (const auto& [tile, boxes] : near) {
+    if (!std::binary_search(unit.begin(), unit.end(), tile)) {
+      wanted.push_back(tile);
+    }
+  }
   std::sort(wanted.begin(), wanted.end());
   loaded.work = std::make_unique<WorkUnit>(tiles_[unit.front()].key.corner(),
                                            options_, constants_);
   WorkUnit& work = *loaded.work;
+  // Room that is not filled costs nothing.
   size_t core_points = 0;
-  for (const size_t t : unit) {
-    core_points += static_cast<size_t>(tiles_[t].point_count);
+  for (const size_t t : wanted) {
+    const bool is_core = std::binary_search(unit.begin(), unit.end(), t);
+    const bool is_whole = is_core && whole_core;
+    loaded.tiles.push_back(
+        {.tile = t, .is_core = is_core, .is_whole = is_whole});
+    if (is_core) core_points += static_cast<size_t>(tiles_[t].point_count);
   }
   work.Reserve(core_points);
-  for (const size_t t : wanted) {
-    loaded.tiles.push_back({.tile = t, .is_core = !halo.contains(t)});
-  }
   const absl::Status status =
       ForEachBatch(loaded.tiles, [&](std::span<LoadedTile> batch) {
-        return LoadBatch(halo, batch, work);
+        return LoadBatch(near, batch, work);
       });
   if (!status.ok()) return status;
   return loaded;
 }
 
-absl::StatusOr<std::span<const LatticePoint>> PointUnits::LoadPoints(
-    size_t tile) {
-  const auto room = static_cast<size_t>(tiles_[tile].point_count);
-  batch_points_.resize(std::max(batch_points_.size(), room));
-  const std::span<LatticePoint> points = std::span(batch_points_).first(room);
+absl::StatusOr<BulkVector<LatticePoint>> PointUnits::LoadPoints(
+    size_t tile) const {
+  BulkVector<LatticePoint> points(
+      static_cast<size_t>(tiles_[tile].point_count));
   MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
                             source_.LoadPoints(tiles_[tile].key, points));
-  return points.first(static_cast<size_t>(size));
+  points.resize(static_cast<size_t>(size));
+  return points;
 }
 
-/// Appends the points of `batch` to `work`; of a halo tile, those in the boxes
-/// of `halo`.
-absl::Status PointUnits::LoadBatch(const HaloOf& halo,
+/// Appends the points of `batch` to `work`; of a tile that is not wanted as a
+/// whole, those in its boxes of `near`.
+absl::Status PointUnits::LoadBatch(const HaloOf& near,
                                    std::span<LoadedTile> batch,
                                    WorkUnit& work) {
   const auto count = static_cast<int64_t>(batch.size());
@@ -159,8 +173,9 @@ absl::Status PointUnits::LoadBatch(const HaloOf& halo,
   for (LoadedTile& tile : batch) {
     begins.push_back(room);
     const TileDirectory& directory = directories_[tile.tile];
-    if (!tile.is_core && directory.IsMade()) {
-      tile.rows = directory.RowsIn(halo.at(tile.tile));
+    if (!tile.is_whole && !near.contains(tile.tile)) continue;
+    if (!tile.is_whole && directory.IsMade()) {
+      tile.rows = directory.RowsIn(near.at(tile.tile));
       room += RowCount(tile.rows);
     } else {
       room += static_cast<size_t>(tiles_[tile.tile].point_count);
@@ -174,7 +189,7 @@ absl::Status PointUnits::LoadBatch(const HaloOf& halo,
         const auto b = static_cast<size_t>(i);
         points[b] = std::span(batch_points_)
                         .subspan(begins[b], begins[b + 1] - begins[b]);
-        return LoadTile(halo, batch[b], points[b]);
+        return LoadTile(near, batch[b], points[b]);
       }));
   for (size_t b = 0; b < batch.size(); ++b) {
     batch[b].begin = work.size();
@@ -189,28 +204,29 @@ absl::Status PointUnits::LoadBatch(const HaloOf& halo,
 }
 
 /// Loads the wanted points of a tile into `points`, which it shortens to them,
-/// and sets their rows. `tile.rows`: all that are needed of a halo tile; none
-/// if that is not known yet.
-absl::Status PointUnits::LoadTile(const HaloOf& halo, LoadedTile& tile,
+/// and sets their rows. `tile.rows`: all that are needed of a tile in part;
+/// none if that is not known yet.
+absl::Status PointUnits::LoadTile(const HaloOf& near, LoadedTile& tile,
                                   std::span<LatticePoint>& points) {
+  if (points.empty()) return absl::OkStatus();
   const CellKey& key = tiles_[tile.tile].key;
   TileDirectory& directory = directories_[tile.tile];
-  if (tile.is_core || !directory.IsMade()) {
+  if (tile.is_whole || !directory.IsMade()) {
     MAPSIEVE_ASSIGN_OR_RETURN(const int64_t size,
                               source_.LoadPoints(key, points));
     points = points.first(static_cast<size_t>(size));
     // Tiles without a halo are in nobody else's, at this margin.
-    if (!directory.IsMade() && !halo.empty()) {
+    if (!directory.IsMade() && !near.empty()) {
       directory = TileDirectory(key, points);
     }
     tile.rows.clear();
     if (size > 0) tile.rows.push_back({0, static_cast<uint32_t>(size)});
-  } else if (!tile.rows.empty()) {
+  } else {
     MAPSIEVE_RETURN_IF_ERROR(source_.LoadPointRows(key, tile.rows, points));
   }
-  if (tile.is_core) return absl::OkStatus();
+  if (tile.is_whole) return absl::OkStatus();
 
-  const std::vector<LatticeBox>& boxes = halo.at(tile.tile);
+  const std::vector<LatticeBox>& boxes = near.at(tile.tile);
   std::vector<RowRange> kept;
   size_t from = 0;
   size_t to = 0;
@@ -232,24 +248,6 @@ absl::Status PointUnits::LoadTile(const HaloOf& halo, LoadedTile& tile,
   }
   tile.rows = std::move(kept);
   points = points.first(to);
-  return absl::OkStatus();
-}
-
-template <typename Use>
-absl::Status PointUnits::ForEachBatch(std::span<LoadedTile> tiles,
-                                      const Use& use) const {
-  const int64_t batch_points =
-      kBatchPointsPerWorker * context_.executor->worker_count();
-  size_t begin = 0;
-  int64_t points = 0;
-  for (size_t t = 0; t < tiles.size(); ++t) {
-    points += tiles_[tiles[t].tile].point_count;
-    if (points < batch_points && t + 1 < tiles.size()) continue;
-    MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
-    MAPSIEVE_RETURN_IF_ERROR(use(tiles.subspan(begin, t + 1 - begin)));
-    begin = t + 1;
-    points = 0;
-  }
   return absl::OkStatus();
 }
 
@@ -300,16 +298,20 @@ absl::Status TileUnits::EmitBatch(WorkUnit& unit,
             .columns = labeled.columns.Slice(begin, end)};
       });
   for (const TileResult& result : results) {
-    summary.point_count += result.point_count;
-    summary.survivor_count += static_cast<int64_t>(result.rows.size());
-    for (const Label label : result.columns.label) {
-      ++summary.label_counts[static_cast<size_t>(label)];
-    }
-    summary.max_confidence =
-        UpdateMaxConfidence(result.columns, summary.max_confidence);
-    MAPSIEVE_RETURN_IF_ERROR(store_.Emit(result));
+    MAPSIEVE_RETURN_IF_ERROR(Emit(result, summary));
   }
   return absl::OkStatus();
+}
+
+absl::Status TileUnits::Emit(const TileResult& result, SpdfSummary& summary) {
+  summary.point_count += result.point_count;
+  summary.survivor_count += static_cast<int64_t>(result.rows.size());
+  for (const Label label : result.columns.label) {
+    ++summary.label_counts[static_cast<size_t>(label)];
+  }
+  summary.max_confidence =
+      UpdateMaxConfidence(result.columns, summary.max_confidence);
+  return store_.Emit(result);
 }
 
 }  // namespace mapsieve::core

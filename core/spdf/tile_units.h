@@ -27,6 +27,8 @@ struct LoadedTile {
   /// Its number in PointUnits::tiles.
   size_t tile = 0;
   bool is_core = false;
+  /// All of its points are loaded.
+  bool is_whole = false;
   /// The tile's points in the unit: [begin, end).
   size_t begin = 0;
   size_t end = 0;
@@ -80,15 +82,20 @@ class PointUnits {
     return Load(unit, BoxesOf(unit), margin);
   }
 
-  /// The points of a tile; valid until the next call.
-  absl::StatusOr<std::span<const LatticePoint>> LoadPoints(size_t tile);
+  /// Of the unit's tiles too only the points within `margin` steps of `boxes`.
+  absl::StatusOr<LoadedUnit> LoadNear(const Unit& unit,
+                                      std::span<const LatticeBox> boxes,
+                                      int64_t margin);
 
- protected:
+  /// All points of a tile. Thread-safe.
+  absl::StatusOr<BulkVector<LatticePoint>> LoadPoints(size_t tile) const;
+
   /// Calls use(batch) for adjacent `tiles`: enough to keep every worker busy,
   /// few enough for copies of their points to be small beside a unit.
   template <typename Use>
   absl::Status ForEachBatch(std::span<LoadedTile> tiles, const Use& use) const;
 
+ protected:
   const ExecutionContext& context_;
   const std::vector<TileInfo> tiles_;
   /// Of a batch of tiles; kept from batch to batch, since fresh memory is dear.
@@ -97,6 +104,8 @@ class PointUnits {
  private:
   using HaloOf = std::unordered_map<size_t, std::vector<LatticeBox>>;
 
+  absl::StatusOr<LoadedUnit> Load(const Unit& unit, const HaloOf& near,
+                                  bool whole_core);
   absl::Status LoadBatch(const HaloOf& halo, std::span<LoadedTile> batch,
                          WorkUnit& work);
   absl::Status LoadTile(const HaloOf& halo, LoadedTile& tile,
@@ -109,6 +118,26 @@ class PointUnits {
   /// One entry a tile; made when it is loaded for the first time.
   std::vector<TileDirectory> directories_;
 };
+
+template <typename Use>
+absl::Status PointUnits::ForEachBatch(std::span<LoadedTile> tiles,
+                                      const Use& use) const {
+  // Points of tiles that are loaded, or answered for, at a time.
+  constexpr int64_t kBatchPointsPerWorker = 1 << 16;
+  const int64_t batch_points =
+      kBatchPointsPerWorker * context_.executor->worker_count();
+  size_t begin = 0;
+  int64_t points = 0;
+  for (size_t t = 0; t < tiles.size(); ++t) {
+    points += tiles_[tiles[t].tile].point_count;
+    if (points < batch_points && t + 1 < tiles.size()) continue;
+    MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+    MAPSIEVE_RETURN_IF_ERROR(use(tiles.subspan(begin, t + 1 - begin)));
+    begin = t + 1;
+    points = 0;
+  }
+  return absl::OkStatus();
+}
 
 /// PointUnits of the filter's store, which also moves what the filter keeps of
 /// tiles between the store and a WorkUnit.
@@ -123,10 +152,14 @@ class TileUnits : public PointUnits {
   template <typename T>
   absl::Status LoadStates(const LoadedUnit& loaded, TileStateKind kind,
                           bool with_halo, BulkVector<T>& states);
-  /// Stores the states of a tile of the core.
+  /// The states of the `count` points of a tile. Thread-safe.
   template <typename T>
-  absl::Status StoreTileStates(const LoadedTile& tile, TileStateKind kind,
-                               const BulkVector<T>& states);
+  absl::StatusOr<BulkVector<T>> LoadTileStates(size_t tile, TileStateKind kind,
+                                               size_t count) const;
+  /// Stores the states of all points of a tile.
+  template <typename T>
+  absl::Status StoreTileStates(size_t tile, TileStateKind kind,
+                               std::span<const T> states);
   /// Stores the states of the core tiles.
   template <typename T>
   absl::Status StoreStates(const LoadedUnit& loaded, TileStateKind kind,
@@ -136,6 +169,8 @@ class TileUnits : public PointUnits {
   /// `summary`.
   absl::Status Emit(const LoadedUnit& loaded, const WorkUnit::Labeled& labeled,
                     SpdfSummary& summary);
+  /// The same for one answer.
+  absl::Status Emit(const TileResult& result, SpdfSummary& summary);
 
  private:
   absl::Status EmitBatch(WorkUnit& unit, std::span<const LoadedTile> tiles,
@@ -165,12 +200,22 @@ absl::Status TileUnits::LoadStates(const LoadedUnit& loaded, TileStateKind kind,
 }
 
 template <typename T>
-absl::Status TileUnits::StoreTileStates(const LoadedTile& tile,
-                                        TileStateKind kind,
-                                        const BulkVector<T>& states) {
-  return store_.StoreState(tiles_[tile.tile].key, kind,
-                           std::as_bytes(std::span(states).subspan(
-                               tile.begin, tile.end - tile.begin)));
+absl::StatusOr<BulkVector<T>> TileUnits::LoadTileStates(size_t tile,
+                                                        TileStateKind kind,
+                                                        size_t count) const {
+  BulkVector<T> states(count);
+  if (count == 0) return states;
+  const RowRange rows = {0, static_cast<uint32_t>(count)};
+  MAPSIEVE_RETURN_IF_ERROR(
+      store_.LoadState(tiles_[tile].key, kind, {&rows, 1},
+                       std::as_writable_bytes(std::span(states))));
+  return states;
+}
+
+template <typename T>
+absl::Status TileUnits::StoreTileStates(size_t tile, TileStateKind kind,
+                                        std::span<const T> states) {
+  return store_.StoreState(tiles_[tile].key, kind, std::as_bytes(states));
 }
 
 template <typename T>
@@ -179,7 +224,9 @@ absl::Status TileUnits::StoreStates(const LoadedUnit& loaded,
                                     const BulkVector<T>& states) {
   for (const LoadedTile& tile : loaded.tiles) {
     if (!tile.is_core) continue;
-    MAPSIEVE_RETURN_IF_ERROR(StoreTileStates(tile, kind, states));
+    MAPSIEVE_RETURN_IF_ERROR(StoreTileStates<T>(
+        tile.tile, kind,
+        std::span(states).subspan(tile.begin, tile.end - tile.begin)));
   }
   return absl::OkStatus();
 }

@@ -90,12 +90,6 @@ class TileUpdate {
     for (const size_t t : tiles_.TilesIn(box)) CellsOf(t, cells).Add(box);
   }
 
-  static bool Contains(const CellSet& cells, size_t tile,
-                       const LatticePoint& q) {
-    const auto found = cells.find(tile);
-    return found != cells.end() && found->second.Contains(q);
-  }
-
   bool IsQuota() const { return options_.rule == DensityRule::kQuota; }
 
   /// How far a change of points shows in deaths.
@@ -125,8 +119,10 @@ class TileUpdate {
     context_.executor->ParallelFor(
         static_cast<int64_t>(loaded.tiles.size()), [&](int64_t n) {
           const LoadedTile& tile = loaded.tiles[static_cast<size_t>(n)];
+          const auto of_tile = cells.find(tile.tile);
+          if (of_tile == cells.end()) return;
           for (size_t i = tile.begin; i < tile.end; ++i) {
-            is_in[i] = Contains(cells, tile.tile, work.Position(i)) ? 1 : 0;
+            is_in[i] = of_tile->second.Contains(work.Position(i)) ? 1 : 0;
           }
         });
     return is_in;
@@ -138,7 +134,8 @@ class TileUpdate {
     CellSet filtered;
     for (const size_t t : unit) filtered.insert(pending_.extract(t));
     MAPSIEVE_ASSIGN_OR_RETURN(
-        LoadedUnit loaded, tiles_.Load(unit, BoundsOf(filtered), DeathReach()));
+        LoadedUnit loaded,
+        tiles_.LoadNear(unit, BoundsOf(filtered), DeathReach()));
     WorkUnit& work = *loaded.work;
     work.core() = PointsIn(filtered, loaded);
     BulkVector<DeathRound>& deaths = work.deaths();
@@ -167,14 +164,23 @@ class TileUpdate {
           std::span(deaths).subspan(tile.begin, tile.end - tile.begin);
       const DeathRound* const then = before.data() + tile.begin;
       if (std::equal(now.begin(), now.end(), then)) continue;
-      MAPSIEVE_RETURN_IF_ERROR(
-          tiles_.StoreTileStates(tile, TileStateKind::kDeaths, deaths));
-      MAPSIEVE_ASSIGN_OR_RETURN(const std::span<const LatticePoint> points,
+      MAPSIEVE_ASSIGN_OR_RETURN(const BulkVector<LatticePoint> points,
                                 tiles_.LoadPoints(tile.tile));
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          BulkVector<DeathRound> of_tile,
+          tiles_.LoadTileStates<DeathRound>(tile.tile, TileStateKind::kDeaths,
+                                            points.size()));
       TileCells changed(GridOf(tile.tile));
-      for (size_t i = 0; i < now.size(); ++i) {
-        if (now[i] != then[i]) changed.Add(BoxOf(points[i]));
+      size_t i = 0;
+      for (const RowRange& part : tile.rows) {
+        for (uint32_t row = part.begin; row < part.end; ++row, ++i) {
+          if (now[i] == then[i]) continue;
+          of_tile[row] = now[i];
+          changed.Add(BoxOf(points[row]));
+        }
       }
+      MAPSIEVE_RETURN_IF_ERROR(tiles_.StoreTileStates<DeathRound>(
+          tile.tile, TileStateKind::kDeaths, of_tile));
       changed.ForEach(
           [&](const LatticeBox& box) { MarkTouched(box, touched); });
     }
@@ -211,8 +217,8 @@ class TileUpdate {
       cells.ForEach(
           [&](const LatticeBox& box) { Add(box.Grown(reach), voting); });
     }
-    MAPSIEVE_ASSIGN_OR_RETURN(LoadedUnit loaded,
-                              tiles_.Load(unit, BoundsOf(labeled), 2 * reach));
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        LoadedUnit loaded, tiles_.LoadNear(unit, BoundsOf(labeled), 2 * reach));
     WorkUnit& work = *loaded.work;
     MAPSIEVE_RETURN_IF_ERROR(tiles_.LoadStates(loaded, TileStateKind::kDeaths,
                                                /*with_halo=*/true,
@@ -225,50 +231,111 @@ class TileUpdate {
     MAPSIEVE_ASSIGN_OR_RETURN(WorkUnit::Labeled labels,
                               work.CastAwareVotes(context_));
     summary_.emitted.vote_count += work.vote_count();
-    MAPSIEVE_RETURN_IF_ERROR(FillPrevious(loaded, labels));
-    return tiles_.Emit(loaded, labels, summary_.emitted);
-  }
-
-  /// Gives the survivors of the unit's tiles that have no new labels those of
-  /// before.
-  absl::Status FillPrevious(const LoadedUnit& loaded,
-                            WorkUnit::Labeled& labels) {
-    WorkUnit& work = *loaded.work;
-    return TryParallelFor(
-        *context_.executor, static_cast<int64_t>(loaded.tiles.size()),
-        [&](int64_t n) -> absl::Status {
-          const LoadedTile& tile = loaded.tiles[static_cast<size_t>(n)];
-          if (!tile.is_core) return absl::OkStatus();
-          MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
-          const auto begin = std::lower_bound(labels.points.begin(),
-                                              labels.points.end(), tile.begin);
-          const auto end =
-              std::lower_bound(begin, labels.points.end(), tile.end);
-          const auto is_old = [&](uint32_t i) { return work.core()[i] == 0; };
-          if (std::none_of(begin, end, is_old)) return absl::OkStatus();
-          const CellKey& key = tiles_.tiles()[tile.tile].key;
-          MAPSIEVE_ASSIGN_OR_RETURN(const LabeledSurvivors before,
-                                    previous_.LoadSurvivors(key));
-          size_t old = 0;
-          for (auto point = begin; point != end; ++point) {
-            if (!is_old(*point)) continue;
-            const auto row = static_cast<size_t>(point - labels.points.begin());
-            const LatticePoint q = work.SurvivorPosition(row);
-            while (old < before.positions.size() &&
-                   MortonLess(before.positions[old], q)) {
-              ++old;
-            }
-            if (old == before.positions.size() || before.positions[old] != q) {
-              return absl::DataLossError(
-                  absl::StrCat("tile ", key.ToString(),
-                               ": the result of before lacks the "
-                               "point at lattice coordinates ",
-                               q.x, ", ", q.y, ", ", q.z));
-            }
-            labels.columns.Set(row, before.columns, old);
+    std::vector<LoadedTile> core;
+    for (const LoadedTile& tile : loaded.tiles) {
+      if (tile.is_core) core.push_back(tile);
+    }
+    return tiles_.ForEachBatch(
+        core, [&](std::span<LoadedTile> batch) -> absl::Status {
+          std::vector<Answer> answers(batch.size());
+          MAPSIEVE_RETURN_IF_ERROR(TryParallelFor(
+              *context_.executor, static_cast<int64_t>(batch.size()),
+              [&](int64_t n) -> absl::Status {
+                const auto t = static_cast<size_t>(n);
+                MAPSIEVE_ASSIGN_OR_RETURN(
+                    answers[t], AnswerOf(batch[t], *loaded.work, labels));
+                return absl::OkStatus();
+              }));
+          for (size_t t = 0; t < batch.size(); ++t) {
+            const Answer& answer = answers[t];
+            MAPSIEVE_RETURN_IF_ERROR(tiles_.Emit(
+                {.key = tiles_.tiles()[batch[t].tile].key,
+                 .point_count = static_cast<int64_t>(answer.deaths.size()),
+                 .deaths = answer.deaths,
+                 .rows = answer.rows,
+                 .positions = answer.positions,
+                 .columns = answer.columns.All()},
+                summary_.emitted));
           }
           return absl::OkStatus();
         });
+  }
+
+  /// What TileResult refers to.
+  struct Answer {
+    BulkVector<DeathRound> deaths;
+    std::vector<uint32_t> rows;
+    std::vector<LatticePoint> positions;
+    LabelColumns columns;
+  };
+
+  /// Of a tile of the unit `work`: the labels of its core points are new, those
+  /// of all others as they were.
+  absl::StatusOr<Answer> AnswerOf(const LoadedTile& tile, WorkUnit& work,
+                                  const WorkUnit::Labeled& labels) {
+    MAPSIEVE_RETURN_IF_ERROR(context_.CheckStop());
+    MAPSIEVE_ASSIGN_OR_RETURN(const BulkVector<LatticePoint> points,
+                              tiles_.LoadPoints(tile.tile));
+    Answer answer;
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        answer.deaths, tiles_.LoadTileStates<DeathRound>(
+                           tile.tile, TileStateKind::kDeaths, points.size()));
+    for (uint32_t row = 0; row < points.size(); ++row) {
+      if (answer.deaths[row] != kAlive) continue;
+      answer.rows.push_back(row);
+      answer.positions.push_back(points[row]);
+    }
+    answer.columns.Resize(answer.rows.size());
+    std::vector<size_t> old;
+    std::span<const RowRange> loaded = tile.rows;
+    // The point of the unit that the first of those rows is.
+    size_t first = tile.begin;
+    auto label = std::lower_bound(labels.points.begin(), labels.points.end(),
+                                  tile.begin);
+    for (size_t s = 0; s < answer.rows.size(); ++s) {
+      const uint32_t row = answer.rows[s];
+      while (!loaded.empty() && loaded.front().end <= row) {
+        first += loaded.front().end - loaded.front().begin;
+        loaded = loaded.subspan(1);
+      }
+      const bool is_loaded = !loaded.empty() && loaded.front().begin <= row;
+      const size_t i = is_loaded ? first + row - loaded.front().begin : 0;
+      if (!is_loaded || work.core()[i] == 0) {
+        old.push_back(s);
+        continue;
+      }
+      while (*label < i) ++label;
+      answer.columns.Set(s, labels.columns,
+                         static_cast<size_t>(label - labels.points.begin()));
+    }
+    MAPSIEVE_RETURN_IF_ERROR(
+        FillPrevious(tiles_.tiles()[tile.tile].key, old, answer));
+    return answer;
+  }
+
+  /// Gives the survivors `old` of a tile the labels of before.
+  absl::Status FillPrevious(const CellKey& key, std::span<const size_t> old,
+                            Answer& answer) {
+    if (old.empty()) return absl::OkStatus();
+    MAPSIEVE_ASSIGN_OR_RETURN(const LabeledSurvivors before,
+                              previous_.LoadSurvivors(key));
+    size_t row = 0;
+    for (const size_t s : old) {
+      const LatticePoint& q = answer.positions[s];
+      while (row < before.positions.size() &&
+             MortonLess(before.positions[row], q)) {
+        ++row;
+      }
+      if (row == before.positions.size() || before.positions[row] != q) {
+        return absl::DataLossError(
+            absl::StrCat("tile ", key.ToString(),
+                         ": the result of before lacks the "
+                         "point at lattice coordinates ",
+                         q.x, ", ", q.y, ", ", q.z));
+      }
+      answer.columns.Set(s, before.columns, row);
+    }
+    return absl::OkStatus();
   }
 
   PreviousRun& previous_;

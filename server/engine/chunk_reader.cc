@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <numeric>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -53,10 +52,7 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
     const core::DecodeOptions& options) {
   MAPSIEVE_ASSIGN_OR_RETURN(core::LatticeCloud points,
                             ReadUnsorted(snapshot, chunk, options));
-  if (std::is_sorted(points.positions.begin(), points.positions.end(),
-                     IsBefore)) {
-    return points;
-  }
+  if (core::IsMortonSorted(points.positions)) return points;
   return points.Select(core::MortonOrder(points.positions));
 }
 
@@ -88,10 +84,6 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
     const core::DecodeOptions& options) {
   if (chunks.size() == 1) return ReadPoints(snapshot, chunks.front(), options);
   core::LatticeCloud points;
-  std::vector<uint32_t> order;
-  const auto less = [&points](uint32_t a, uint32_t b) {
-    return core::MortonLess(points.positions[a], points.positions[b]);
-  };
   for (const storage::ChunkRef& chunk : chunks) {
     MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud part,
                               ReadPoints(snapshot, chunk, options));
@@ -100,14 +92,8 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
         points.size(), part.attributes, part.size()));
     points.positions.insert(points.positions.end(), part.positions.begin(),
                             part.positions.end());
-    const auto middle = static_cast<ptrdiff_t>(order.size());
-    order.resize(points.size());
-    std::iota(order.begin() + middle, order.end(),
-              static_cast<uint32_t>(middle));
-    std::inplace_merge(order.begin(), order.begin() + middle, order.end(),
-                       less);
   }
-  return points.Select(order);
+  return points.Select(core::MortonOrder(points.positions));
 }
 
 std::vector<storage::BlobId> ContentsOf(
@@ -132,11 +118,33 @@ absl::StatusOr<core::LatticeCloud> ReadProduct(
   return ReadPoints(snapshot, chunks, columns);
 }
 
+absl::StatusOr<core::LatticeCloud> ReadPointsAt(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
+    std::span<const core::LatticePoint> positions) {
+  MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud points,
+                            ReadUnsorted(snapshot, chunk, {}));
+  std::vector<uint32_t> rows;
+  auto next = positions.begin();
+  for (const uint32_t row : core::MortonOrder(points.positions)) {
+    const core::LatticePoint& q = points.positions[row];
+    while (next != positions.end() && IsBefore(*next, q)) ++next;
+    if (next == positions.end()) break;
+    if (*next == q) rows.push_back(row);
+  }
+  return points.Select(rows);
+}
+
 absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
     const storage::ReadSnapshot& snapshot, const core::CellKey& tile) {
   MAPSIEVE_ASSIGN_OR_RETURN(
       const std::vector<storage::ChunkRef> chunks,
       snapshot.ListTileChunks(storage::ChunkKind::kRaw, tile));
+  return ReadDistinctPoints(snapshot, chunks);
+}
+
+absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
+    const storage::ReadSnapshot& snapshot,
+    std::span<const storage::ChunkRef> chunks) {
   std::vector<core::LatticePoint> points;
   for (const storage::ChunkRef& chunk : chunks) {
     MAPSIEVE_ASSIGN_OR_RETURN(

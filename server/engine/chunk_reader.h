@@ -48,6 +48,18 @@ std::vector<storage::BlobId> ContentsOf(
 absl::StatusOr<core::LatticeCloud> ReadProduct(
     const storage::ReadSnapshot& snapshot, const core::CellKey& tile);
 
+/// The points of a chunk, with all attributes, that lie at one of `positions`,
+/// which are in Morton order, as they are. Errors of ReadPoints.
+absl::StatusOr<core::LatticeCloud> ReadPointsAt(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
+    std::span<const core::LatticePoint> positions);
+
+/// The distinct points of some chunks of a tile in Morton order. Errors of
+/// ReadPoints.
+absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
+    const storage::ReadSnapshot& snapshot,
+    std::span<const storage::ChunkRef> chunks);
+
 /// The distinct raw points of a tile in Morton order. Errors of ReadPoints.
 absl::StatusOr<std::vector<core::LatticePoint>> ReadDistinctPoints(
     const storage::ReadSnapshot& snapshot, const core::CellKey& tile);

@@ -148,7 +148,10 @@ std::vector<std::vector<uint32_t>> ChunkWriter::DivideRows(
   const auto chunk_points = static_cast<size_t>(
       std::clamp(max_chunk_bytes_ / DecodedPointBytes(points), int64_t{1},
                  core::kMaxBlockPoints));
-  if (keeps_order && points.size() <= chunk_points) return {{}};
+  if (points.size() <= chunk_points &&
+      (keeps_order || core::IsMortonSorted(points.positions))) {
+    return {{}};
+  }
   const std::vector<uint32_t> order = core::MortonOrder(points.positions);
   std::vector<std::vector<uint32_t>> chunks(
       PartCount(order.size(), chunk_points));

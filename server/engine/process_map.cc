@@ -271,11 +271,15 @@ class MapRun {
     MAPSIEVE_ASSIGN_OR_RETURN(scratch_, store_.NewScratch());
     levels_ = std::make_unique<ProductLevels>(
         store_, snapshot_, *scratch_,
-        ProductLevels::Options{.max_pending_bytes = limits_.pending_bytes,
-                               .max_chunk_bytes = limits_.chunk_bytes,
-                               .io = &io_,
-                               .stop = context_.stop,
-                               .repair = repair});
+        ProductLevels::Options{
+            .max_pending_bytes = limits_.pending_bytes,
+            .max_chunk_bytes = limits_.chunk_bytes,
+            .io = &io_,
+            .scratch_compression = previous == nullptr
+                                       ? core::Compression::kLz4
+                                       : core::Compression::kNone,
+            .stop = context_.stop,
+            .repair = repair});
     MAPSIEVE_ASSIGN_OR_RETURN(
         tiles_, StoredTiles::Open(
                     store_, snapshot_,

@@ -1,6 +1,8 @@
 #include "server/engine/product_chunk.h"
 
+#include <algorithm>
 #include <cstdint>
+#include <cstring>
 #include <string>
 #include <utility>
 #include <vector>
@@ -79,15 +81,16 @@ absl::StatusOr<std::vector<uint8_t>> DepthsOf(const core::ColumnSet& columns) {
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Column* const column,
       FindProductColumn(columns, kDepthColumn, ScalarType::kUint8));
-  std::vector<uint8_t> depths;
-  depths.reserve(column->size());
-  for (size_t i = 0; i < column->size(); ++i) {
-    depths.push_back(column->Get<uint8_t>(i));
-    if (depths.back() > core::kMaxDepth) {
-      return absl::DataLossError(absl::StrCat(
-          "depth of point ", i, " of a product chunk: expected at most ",
-          core::kMaxDepth, ", found ", depths.back()));
-    }
+  std::vector<uint8_t> depths(column->size());
+  std::memcpy(depths.data(), column->bytes().data(), depths.size());
+  const auto wrong =
+      std::find_if(depths.begin(), depths.end(),
+                   [](uint8_t depth) { return depth > core::kMaxDepth; });
+  if (wrong != depths.end()) {
+    return absl::DataLossError(
+        absl::StrCat("depth of point ", wrong - depths.begin(),
+                     " of a product chunk: expected at most ", core::kMaxDepth,
+                     ", found ", *wrong));
   }
   return depths;
 }

@@ -17,8 +17,9 @@ using core::LatticeCloud;
 using core::LatticePoint;
 using storage::ChunkRef;
 
-std::string ProductName(const CellKey& tile) {
-  return "product-" + tile.ToString();
+/// The attributes of a new tile; its points are those of level 0.
+std::string AttributesName(const CellKey& tile) {
+  return "attributes-" + tile.ToString();
 }
 std::string LevelName(int level, const CellKey& cell) {
   return "level-" + std::to_string(level) + "-" + cell.ToString();
@@ -51,21 +52,28 @@ ProductLevels::ProductLevels(storage::Store& store,
               *options.io) {}
 
 absl::Status ProductLevels::Add(std::vector<TileCloud> clouds) {
-  for (const TileCloud& cloud : clouds) {
+  for (TileCloud& cloud : clouds) {
     Tile& tile = tiles_[cloud.tile];
     tile.is_new = true;
     tile.point_count = static_cast<int64_t>(cloud.points.size());
+    const int64_t bytes = tile.point_count * point_bytes_;
+    if (tile_bytes_ + bytes > options_.max_pending_bytes) continue;
+    tile_bytes_ += bytes;
+    tile.points = std::exchange(cloud.points, LatticeCloud());
   }
+  std::erase_if(
+      clouds, [](const TileCloud& cloud) { return cloud.points.size() == 0; });
   return TryParallelFor(
       *options_.io, static_cast<int64_t>(clouds.size()),
       [&](int64_t i) -> absl::Status {
         if (options_.stop.stop_requested()) {
           return absl::CancelledError("cancelled");
         }
-        const TileCloud& cloud = clouds[static_cast<size_t>(i)];
-        MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
-                                  core::EncodePoints(cloud.points));
-        return scratch_.Write(ProductName(cloud.tile), block);
+        auto& [tile, points] = clouds[static_cast<size_t>(i)];
+        MAPSIEVE_RETURN_IF_ERROR(StorePoints(0, tile, points.positions));
+        std::fill(points.positions.begin(), points.positions.end(),
+                  tile.corner());
+        return WriteScratch(AttributesName(tile), points);
       });
 }
 
@@ -110,13 +118,33 @@ int64_t ProductLevels::CountAtMost(int level, const CellKey& tile) const {
   return count;
 }
 
-/// The product of a tile in Morton order.
-absl::StatusOr<LatticeCloud> ProductLevels::LoadNow(
-    const CellKey& tile, const core::DecodeOptions& options) const {
-  if (tiles_.at(tile).is_kept) return LoadBefore(tile, 0, options);
+absl::Status ProductLevels::WriteScratch(const std::string& name,
+                                         const LatticeCloud& points) const {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const std::vector<std::byte> block,
+      core::EncodePoints(points,
+                         {.compression = options_.scratch_compression}));
+  return scratch_.Write(name, block);
+}
+
+absl::StatusOr<LatticeCloud> ProductLevels::ReadScratch(
+    const std::string& name) const {
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
-                            scratch_.Read(ProductName(tile)));
-  return core::DecodePoints(block, options);
+                            scratch_.Read(name));
+  return core::DecodePoints(block);
+}
+
+/// The product of a tile in Morton order; to be asked for once.
+absl::StatusOr<LatticeCloud> ProductLevels::TakeNow(const CellKey& tile) {
+  Tile& now = tiles_.at(tile);
+  if (now.is_kept) return LoadBefore(tile, 0, {});
+  if (now.points.has_value()) return *std::exchange(now.points, std::nullopt);
+  MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud points,
+                            ReadScratch(LevelName(0, tile)));
+  MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud attributes,
+                            ReadScratch(AttributesName(tile)));
+  points.attributes = std::move(attributes.attributes);
+  return points;
 }
 
 /// The points of level `min_depth` in the tile as it was, in Morton order.
@@ -145,20 +173,22 @@ absl::StatusOr<LatticeCloud> ProductLevels::LoadBefore(
 
 absl::StatusOr<int64_t> ProductLevels::LoadPoints(
     int level, const CellKey& cell, std::span<LatticePoint> room) {
-  LatticeCloud points;
-  if (level == 0) {
-    MAPSIEVE_ASSIGN_OR_RETURN(points, LoadNow(cell, Only({})));
-  } else {
-    MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
-                              scratch_.Read(LevelName(level, cell)));
-    MAPSIEVE_ASSIGN_OR_RETURN(points, core::DecodePoints(block, Only({})));
+  const Tile* const tile = level == 0 ? &tiles_.at(cell) : nullptr;
+  LatticeCloud read;
+  if (tile != nullptr && tile->is_kept) {
+    MAPSIEVE_ASSIGN_OR_RETURN(read, LoadBefore(cell, 0, Only({})));
+  } else if (tile == nullptr || !tile->points.has_value()) {
+    MAPSIEVE_ASSIGN_OR_RETURN(read, ReadScratch(LevelName(level, cell)));
   }
+  const std::span<const LatticePoint> points =
+      tile != nullptr && tile->points.has_value() ? tile->points->positions
+                                                  : read.positions;
   if (points.size() != room.size()) {
     return absl::DataLossError(absl::StrCat(
         "level ", level, " of cell ", cell.ToString(), ": expected ",
         room.size(), " points, found ", points.size()));
   }
-  std::copy(points.positions.begin(), points.positions.end(), room.begin());
+  std::copy(points.begin(), points.end(), room.begin());
   return static_cast<int64_t>(points.size());
 }
 
@@ -219,17 +249,15 @@ void ProductLevels::KeepCoarse(const CellKey& tile,
 
 absl::Status ProductLevels::StorePoints(int level, const CellKey& cell,
                                         std::span<const LatticePoint> points) {
-  const LatticeCloud cloud = {
-      .lattice = core::Lattice(snapshot_.map().spec.step_nm),
-      .positions = {points.begin(), points.end()}};
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
-                            core::EncodePoints(cloud));
-  return scratch_.Write(LevelName(level, cell), block);
+  return WriteScratch(LevelName(level, cell),
+                      {.lattice = core::Lattice(snapshot_.map().spec.step_nm),
+                       .positions = {points.begin(), points.end()}});
 }
 
 /// Of one tile.
 LevelCounts ProductLevels::CountLevels(const LabelColumnView& labels,
                                        std::span<const uint8_t> depths) const {
+  // By depth, then summed up to levels.
   LevelCounts counts{};
   for (size_t i = 0; i < depths.size(); ++i) {
     const core::Label label = labels.label(i);
@@ -237,8 +265,11 @@ LevelCounts ProductLevels::CountLevels(const LabelColumnView& labels,
         !outliers_->Keeps(label, labels.confidence(i))) {
       continue;
     }
-    for (size_t level = 0; level <= depths[i]; ++level) {
-      ++counts[level][static_cast<size_t>(label)];
+    ++counts[depths[i]][static_cast<size_t>(label)];
+  }
+  for (size_t level = counts.size() - 1; level > 0; --level) {
+    for (size_t label = 0; label < core::kLabelCount; ++label) {
+      counts[level - 1][label] += counts[level][label];
     }
   }
   return counts;
@@ -288,10 +319,10 @@ absl::Status ProductLevels::EmitDepths(const CellKey& tile, int level,
 
 /// The points of the groups of depths that are written anew.
 absl::StatusOr<ProductLevels::DeepPoints> ProductLevels::LoadPending(
-    const Pending& pending) const {
+    const Pending& pending) {
   DeepPoints loaded;
   if (pending.level == 0) {
-    MAPSIEVE_ASSIGN_OR_RETURN(loaded.points, LoadNow(pending.tile, {}));
+    MAPSIEVE_ASSIGN_OR_RETURN(loaded.points, TakeNow(pending.tile));
     loaded.depths = pending.depths;
     return loaded;
   }

@@ -7,6 +7,7 @@
 #include <optional>
 #include <span>
 #include <stop_token>
+#include <string>
 #include <unordered_map>
 #include <vector>
 
@@ -27,11 +28,11 @@
 namespace mapsieve::engine {
 
 /// The tiles of a product on their way to chunks by depth: takes what the
-/// filter made of some tiles and keeps it in scratch files, knows the chunks of
-/// the others, and once core::ComputeDepths has run over them, has written
-/// chunks of the new tiles and, of the others, of the groups of depths in which
-/// one changed. Memory: answers up to a limit, or one tile; and points of
-/// coarse levels up to the same limit.
+/// filter made of some tiles and keeps it, in scratch files what is much, knows
+/// the chunks of the others, and once core::ComputeDepths has run over them,
+/// has written chunks of the new tiles and, of the others, of the groups of
+/// depths in which one changed. Memory: answers up to a limit, or one tile; and
+/// new tiles and points of coarse levels, each up to the same limit.
 class ProductLevels final : public core::LevelStore,
                             public core::PreviousLevels {
  public:
@@ -42,6 +43,8 @@ class ProductLevels final : public core::LevelStore,
     int64_t max_chunk_bytes = 0;
     /// Reads, encodes and stores.
     Executor* io = nullptr;
+    /// Of scratch files. kNone takes less time, and some four times the room.
+    core::Compression scratch_compression = core::Compression::kLz4;
     std::stop_token stop;
     /// Gets the chunks instead of the store; null: they are new.
     const ChunkRepair* repair = nullptr;
@@ -101,8 +104,11 @@ class ProductLevels final : public core::LevelStore,
   };
   struct Tile {
     int64_t point_count = 0;
-    /// Its points are in a scratch file.
+    /// Its points are not those of before.
     bool is_new = false;
+    /// Those of a new tile, if there was room for them; else they are in
+    /// scratch files.
+    std::optional<core::LatticeCloud> points;
     /// Its points are those of the chunks.
     bool is_kept = false;
     std::vector<PreviousChunk> before;
@@ -124,12 +130,14 @@ class ProductLevels final : public core::LevelStore,
     std::vector<uint8_t> depths;
   };
 
-  absl::StatusOr<core::LatticeCloud> LoadNow(
-      const core::CellKey& tile, const core::DecodeOptions& options) const;
+  absl::Status WriteScratch(const std::string& name,
+                            const core::LatticeCloud& points) const;
+  absl::StatusOr<core::LatticeCloud> ReadScratch(const std::string& name) const;
+  absl::StatusOr<core::LatticeCloud> TakeNow(const core::CellKey& tile);
   absl::StatusOr<core::LatticeCloud> LoadBefore(
       const core::CellKey& tile, int min_depth,
       const core::DecodeOptions& options) const;
-  absl::StatusOr<DeepPoints> LoadPending(const Pending& pending) const;
+  absl::StatusOr<DeepPoints> LoadPending(const Pending& pending);
   const CoarsePoints* FindCoarse(const core::CellKey& tile) const;
   void KeepCoarse(const core::CellKey& tile,
                   std::span<const core::LatticePoint> positions,
@@ -147,6 +155,8 @@ class ProductLevels final : public core::LevelStore,
   const int64_t point_bytes_;
   ChunkWriter chunks_;
   std::map<core::CellKey, Tile, core::CellKeyLess> tiles_;
+  /// Of Tile::points.
+  int64_t tile_bytes_ = 0;
   std::vector<Pending> pending_;
   int64_t pending_bytes_ = 0;
   std::vector<int64_t> replaced_;

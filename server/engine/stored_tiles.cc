@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
+#include <iterator>
 #include <optional>
 #include <string>
 #include <utility>
@@ -59,8 +60,8 @@ std::vector<storage::ByteRange> BytesOf(std::span<const core::RowRange> rows,
   return parts;
 }
 
-/// Calls use(i, j) for every place that a[i] and b[j] share; both in Morton
-/// order. Of several b in one place, the first; of several a, all.
+/// Calls use(i, j) for every place that a[i] and b[j] share; both distinct and
+/// in Morton order.
 template <typename Use>
 void ForEachCommon(std::span<const LatticePoint> a,
                    std::span<const LatticePoint> b, const Use& use) {
@@ -70,6 +71,41 @@ void ForEachCommon(std::span<const LatticePoint> a,
     if (j == b.size()) return;
     if (b[j] == a[i]) use(i, j);
   }
+}
+
+struct DividedChunks {
+  std::vector<ChunkRef> shared;
+  std::vector<ChunkRef> others;
+};
+
+/// The `chunks` of a tile that are also among `of`, and those that are not;
+/// all in order of their numbers.
+DividedChunks Divide(const std::vector<ChunkRef>& chunks,
+                     const std::vector<ChunkRef>& of) {
+  DividedChunks divided;
+  for (const ChunkRef& chunk : chunks) {
+    const bool is_shared = std::binary_search(
+        of.begin(), of.end(), chunk, [](const ChunkRef& a, const ChunkRef& b) {
+          return a.number < b.number;
+        });
+    (is_shared ? divided.shared : divided.others).push_back(chunk);
+  }
+  return divided;
+}
+
+/// The distinct points of two lists of such; all in Morton order.
+std::vector<LatticePoint> Union(std::vector<LatticePoint> a,
+                                std::vector<LatticePoint> b) {
+  if (b.empty()) return a;
+  if (a.empty()) return b;
+  std::vector<LatticePoint> both;
+  both.reserve(a.size() + b.size());
+  std::set_union(a.begin(), a.end(), b.begin(), b.end(),
+                 std::back_inserter(both),
+                 [](const LatticePoint& p, const LatticePoint& q) {
+                   return core::MortonLess(p, q);
+                 });
+  return both;
 }
 
 }  // namespace
@@ -220,10 +256,23 @@ absl::StatusOr<std::vector<core::TileChange>> StoredTiles::CompareTiles(
 /// Keeps the points of today and their deaths at the previous revision, kAlive
 /// for points that were not there.
 absl::StatusOr<core::TileChange> StoredTiles::CompareTile(const CellKey& tile) {
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> old_points,
-                            ReadDistinctPoints(*previous_, tile));
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<LatticePoint> points,
-                            ReadDistinctPoints(snapshot_, tile));
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> old_chunks,
+                            previous_->ListTileChunks(ChunkKind::kRaw, tile));
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<ChunkRef> chunks,
+                            snapshot_.ListTileChunks(ChunkKind::kRaw, tile));
+  // What both revisions hold is read once.
+  const auto [shared, gone] = Divide(old_chunks, chunks);
+  const std::vector<ChunkRef> added = Divide(chunks, old_chunks).others;
+  MAPSIEVE_ASSIGN_OR_RETURN(std::vector<LatticePoint> shared_points,
+                            ReadDistinctPoints(snapshot_, shared));
+  MAPSIEVE_ASSIGN_OR_RETURN(std::vector<LatticePoint> added_points,
+                            ReadDistinctPoints(snapshot_, added));
+  MAPSIEVE_ASSIGN_OR_RETURN(std::vector<LatticePoint> gone_points,
+                            ReadDistinctPoints(*previous_, gone));
+  const std::vector<LatticePoint> points =
+      Union(shared_points, std::move(added_points));
+  const std::vector<LatticePoint> old_points =
+      Union(std::move(shared_points), std::move(gone_points));
   core::TileChange change = {.tile = tile};
   core::ForEachDifference(points, old_points, [&](const LatticePoint& q) {
     change.box = change.box.has_value() ? change.box->Union(core::BoxOf(q))
@@ -253,13 +302,12 @@ absl::StatusOr<LatticeCloud> StoredTiles::CollectRepresentatives(
   LatticeCloud collected{.lattice =
                              core::Lattice(snapshot_.map().spec.step_nm)};
   for (const ChunkRef& chunk : chunks) {
-    MAPSIEVE_ASSIGN_OR_RETURN(const LatticeCloud cloud,
-                              ReadPoints(snapshot_, chunk));
-    std::vector<uint32_t> rows;
-    ForEachCommon(cloud.positions, positions, [&](size_t i, size_t) {
-      rows.push_back(static_cast<uint32_t>(i));
-    });
-    const LatticeCloud part = cloud.Select(rows);
+    MAPSIEVE_ASSIGN_OR_RETURN(LatticeCloud part,
+                              ReadPointsAt(snapshot_, chunk, positions));
+    if (collected.attributes.columns().empty() && collected.size() == 0) {
+      collected = std::move(part);
+      continue;
+    }
     MAPSIEVE_RETURN_IF_ERROR(collected.attributes.AppendAll(
         collected.size(), part.attributes, part.size()));
     collected.positions.insert(collected.positions.end(),
@@ -268,6 +316,12 @@ absl::StatusOr<LatticeCloud> StoredTiles::CollectRepresentatives(
     if (collected.size() > positions.size()) {
       collected = collected.Select(core::MergeDuplicates(collected));
     }
+  }
+  // In their order, one for each of `positions`.
+  if (collected.positions.size() == positions.size() &&
+      std::equal(positions.begin(), positions.end(),
+                 collected.positions.begin())) {
+    return collected;
   }
   collected = collected.Select(core::MergeDuplicates(collected));
   if (collected.size() != positions.size()) {

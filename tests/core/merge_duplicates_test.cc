@@ -28,6 +28,26 @@ TEST(MortonOrder, SortsPointsFarApartAndAcrossZero) {
   EXPECT_EQ(MortonOrder(points), expected);
 }
 
+TEST(MortonOrder, KeepsTheOrderOfEqualPointsOfAscendingRuns) {
+  for (int run_count = 0; run_count <= 10; ++run_count) {
+    SCOPED_TRACE(run_count);
+    std::vector<LatticePoint> points;
+    for (int run = 0; run < run_count; ++run) {
+      const LatticeCloud cloud = testing::SceneCloud(200 + 50 * run, 0.02, 8);
+      const std::vector<LatticePoint> part = DistinctPoints(cloud.positions);
+      points.insert(points.end(), part.begin(), part.end());
+    }
+    std::vector<uint32_t> expected(points.size());
+    for (uint32_t i = 0; i < expected.size(); ++i) expected[i] = i;
+    std::stable_sort(expected.begin(), expected.end(),
+                     [&](uint32_t a, uint32_t b) {
+                       return MortonLess(points[a], points[b]);
+                     });
+    EXPECT_EQ(MortonOrder(points), expected);
+    EXPECT_EQ(IsMortonSorted(points), run_count < 2);
+  }
+}
+
 TEST(MergeDuplicates, KeepsTheSmallestAttributesWhateverTheOrder) {
   LatticeCloud cloud = testing::SceneCloud(2000, 0.02, 8);  // many collisions
   cloud = testing::WithAttributes(std::move(cloud), 9);

@@ -1,6 +1,7 @@
 // A product that is kept up to date is, byte for byte, that of a map built from
 // the same points.
 
+#include <algorithm>
 #include <map>
 #include <memory>
 #include <random>
@@ -183,22 +184,51 @@ TEST(Update, SharesTheChunksOfTilesOutOfReach) {
   MAPSIEVE_ASSERT_OK(workshop.Add(Clump(scene, random), kIngest));
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport report,
                                 workshop.Process(options, kProcess));
-  // Of a tile in which only depths changed, the groups of depths that hold
-  // them are written anew.
-  std::map<std::string, std::set<size_t>> shared;
-  std::map<std::string, std::set<size_t>> written;
+  std::set<std::string> shared;
   for (const ChunkRef& chunk : workshop.Chunks(ChunkKind::kProduct)) {
-    (before.contains(chunk.number) ? shared : written)[chunk.tile.ToString()]
-        .insert(DepthGroupOf(chunk.min_depth));
-  }
-  for (const auto& [tile, groups] : written) {
-    const auto kept = shared.find(tile);
-    if (kept == shared.end()) continue;
-    // Coarse groups come first.
-    EXPECT_GT(*kept->second.begin(), *groups.rbegin());
+    if (before.contains(chunk.number)) shared.insert(chunk.tile.ToString());
   }
   EXPECT_LT(static_cast<size_t>(report.updated_tile_count), tiles.size());
   EXPECT_GT(shared.size(), tiles.size() / 4);
+}
+
+TEST(Update, OfATileInWhichOnlyDepthsChangedWritesTheGroupsThatHoldThem) {
+  const SpdfOptions options = SceneOptions(DensityRule::kPaper);
+  std::mt19937_64 random(6);
+  LatticeCloud all = MakeScene(12);
+  Workshop edited(11);
+  AddAndProcess(all, options, edited);
+  std::set<int64_t> before;
+  for (const ChunkRef& chunk : edited.Chunks(ChunkKind::kProduct)) {
+    before.insert(chunk.number);
+  }
+  const LatticeCloud clump = Clump(all, random);
+  Append(clump, all);
+  AddAndProcess(clump, options, edited);
+  std::map<std::string, std::set<size_t>> shared;
+  std::map<std::string, std::set<size_t>> written;
+  for (const ChunkRef& chunk : edited.Chunks(ChunkKind::kProduct)) {
+    (before.contains(chunk.number) ? shared : written)[chunk.tile.ToString()]
+        .insert(DepthGroupOf(chunk.min_depth));
+  }
+  size_t written_in_part = 0;
+  for (const auto& [tile, groups] : written) {
+    const auto kept = shared.find(tile);
+    if (kept == shared.end()) continue;
+    ++written_in_part;
+    // Coarse groups come first.
+    EXPECT_GT(*kept->second.begin(), *groups.rbegin());
+  }
+  EXPECT_GT(written_in_part, 0u);
+  Workshop scratch(11);
+  AddAndProcess(all, options, scratch);
+  // Chunks that were written later come last.
+  const auto sorted_contents = [](Workshop& workshop) {
+    Contents contents = ContentsOf(workshop, ChunkKind::kProduct);
+    for (auto& [tile, blobs] : contents) std::sort(blobs.begin(), blobs.end());
+    return contents;
+  };
+  EXPECT_EQ(sorted_contents(edited), sorted_contents(scratch));
 }
 
 TEST(Update, OtherOptionsFilterEverything) {
