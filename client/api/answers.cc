@@ -9,9 +9,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "absl/time/clock.h"
-#include "absl/time/time.h"
 #include "client/api/convert.h"
+#include "client/api/resume_pauses.h"
 #include "core/base/bytes.h"
 #include "core/base/status.h"
 #include "core/cloud/packed_columns.h"
@@ -19,11 +18,6 @@
 
 namespace mapsieve::client {
 namespace {
-
-/// How often an answer that breaks off is asked for again, and the first pause
-/// before it; each further one is twice as long.
-constexpr int kResumes = 6;
-constexpr absl::Duration kFirstPause = absl::Milliseconds(100);
 
 /// The columns that packed ones of an answer stand for, and the others.
 std::vector<core::ColumnSpec> Unpacked(
@@ -221,10 +215,8 @@ class GrpcQueryStream final : public QueryStream {
   /// does.
   absl::Status Resume(absl::Status status) {
     if (request_.resume_token().empty()) return status;
-    absl::Duration pause = kFirstPause;
-    for (int i = 0; i < kResumes && absl::IsUnavailable(status); ++i) {
-      absl::SleepFor(pause);
-      pause *= 2;
+    ResumePauses pauses;
+    while (pauses.Wait(status)) {
       Open();
       status = ReadHeader();
     }

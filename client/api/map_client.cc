@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/api/answers.h"
 #include "client/api/convert.h"
+#include "client/api/resume_pauses.h"
 #include "core/base/hash.h"
 #include "core/base/status.h"
 #include "grpcpp/create_channel.h"
@@ -445,16 +446,33 @@ absl::Status MapClient::WatchMap(
   v1::WatchMapRequest request;
   request.set_name(MapName(map_id));
   request.set_from_revision(from_revision);
-  grpc::ClientContext context;
-  const auto reader = connection_->maps->WatchMap(&context, request);
-  v1::WatchMapResponse response;
-  absl::Status visited;
-  while (visited.ok() && reader->Read(&response)) {
-    visited = visit(FromProto(response.revision()));
+  std::optional<RevisionInfo> last;
+  ResumePauses pauses;
+  while (true) {
+    grpc::ClientContext context;
+    const auto reader = connection_->maps->WatchMap(&context, request);
+    v1::WatchMapResponse response;
+    absl::Status visited;
+    // A call that goes on begins with the last revision, by which the map is
+    // told from another one of its name.
+    bool is_known = last.has_value();
+    while (visited.ok() && reader->Read(&response)) {
+      const RevisionInfo revision = FromProto(response.revision());
+      pauses.Reset();
+      if (!std::exchange(is_known, false)) {
+        visited = visit(revision);
+      } else if (revision.create_time != last->create_time) {
+        visited = absl::NotFoundError(absl::StrCat(
+            "map ", map_id, " was deleted, and there is another one now"));
+      }
+      request.set_from_revision(revision.number);
+      last = revision;
+    }
+    if (!visited.ok()) context.TryCancel();
+    const absl::Status finished = ToStatus(reader->Finish());
+    if (!visited.ok()) return visited;
+    if (!last.has_value() || !pauses.Wait(finished)) return finished;
   }
-  if (!visited.ok()) context.TryCancel();
-  const absl::Status finished = ToStatus(reader->Finish());
-  return visited.ok() ? finished : visited;
 }
 
 absl::StatusOr<RepairReport> MapClient::Repair(

@@ -70,9 +70,10 @@ class MapClient {
       const std::string& map_id, int64_t max_count);
   /// Calls `visit` for each revision of a map, from `from_revision` (0: the
   /// newest) on, in order, none left out, those to come as they are committed.
+  /// Goes on by itself when the server goes away and is back within 6 s.
   /// Returns what `visit` returns if that is an error; kNotFound: also once the
   /// map is deleted; kOutOfRange: the map is more than one revision short of
-  /// `from_revision`; kUnavailable: the server went away.
+  /// `from_revision`; kUnavailable: there is no server, or it stays away.
   absl::Status WatchMap(
       const std::string& map_id, int64_t from_revision,
       const std::function<absl::Status(const RevisionInfo&)>& visit);

@@ -10,6 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
+#include "client/api/map_client.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/rpc/service_fixture.h"
@@ -189,6 +190,54 @@ TEST_F(WatchTest, DrainingEndsWatches) {
   EXPECT_FALSE(watch.Next());
   EXPECT_THAT(watch.Finish(), StatusIs(Code::kUnavailable, _));
   EXPECT_LT(absl::Now() - begin, absl::Seconds(20));
+}
+
+TEST_F(WatchTest, TheClientGoesOnWhenTheServerComesBack) {
+  MakeMap();
+  std::atomic<int> seen = 0;
+  std::vector<int64_t> numbers;
+  absl::Status end;
+  std::thread watcher([&, address = server_->address().ToString()] {
+    client::MapClient client(address);
+    end = client.WatchMap("campus", 1, [&](const client::RevisionInfo& info) {
+      numbers.push_back(info.number);
+      ++seen;
+      return absl::OkStatus();
+    });
+  });
+  const auto await = [&](int count) {
+    while (seen < count) absl::SleepFor(absl::Milliseconds(5));
+  };
+  await(2);
+  const int port = server_->address().port;
+  const auto start = [&](int at) {
+    server_.reset();
+    ServerOptions options = Options();
+    options.listen.port = at;
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(server_, Server::Start(options, logger_));
+    client_ = std::make_unique<TestClient>(server_->address().ToString());
+  };
+  // `change` happens where the watcher does not see it.
+  const auto restart = [&](const auto& change) {
+    server_->Shutdown(absl::ZeroDuration());
+    start(0);
+    change();
+    server_->Shutdown(absl::ZeroDuration());
+    start(port);
+  };
+  restart([&] {
+    MAPSIEVE_ASSERT_OK(client_->Upload("campus", "second", TestScene(20)));
+  });
+  await(3);
+  // Another map of the name is not taken for it.
+  restart([&] {
+    DeleteMap();
+    MakeMap();
+    MAPSIEVE_ASSERT_OK(client_->Upload("campus", "second", TestScene(20)));
+  });
+  watcher.join();
+  EXPECT_THAT(end, StatusIs(Code::kNotFound, _));
+  EXPECT_EQ(numbers, (std::vector<int64_t>{1, 2, 3}));
 }
 
 // "Threads:" and "VmRSS:" of this process, in which the server runs.
