@@ -89,16 +89,30 @@ absl::Status AnswerSource::CheckRead(const ChunkRef& chunk,
 
 absl::StatusOr<std::optional<std::vector<std::byte>>> AnswerStream::Next() {
   // The first block does not wait for the points of the second one.
-  const size_t wanted = given_.point_count == 0 ? 1 : kBlocksAhead;
+  const size_t wanted = given_.point_count == 0 ? 1 : BlocksAhead();
   while (coming_.size() < wanted && !is_ended_) {
     MAPSIEVE_RETURN_IF_ERROR(BeginBlock());
   }
   if (coming_.empty()) return std::nullopt;
   absl::StatusOr<Block> block = coming_.front().block.get();
+  if (block.ok()) last_block_bytes_ = block->size();
   given_ = coming_.front().totals;
   coming_.pop_front();
   MAPSIEVE_RETURN_IF_ERROR(block.status());
   return *std::move(block);
+}
+
+size_t AnswerStream::BlocksAhead() const {
+  constexpr size_t kRoom = kMaxBatchBytes / 2;
+  return std::clamp(kRoom / std::max(last_block_bytes_, size_t{1}), size_t{1},
+                    kMaxBlocksAhead);
+}
+
+size_t AnswerStream::PointsPerBlock() const {
+  // Plain blocks are as large as their bound.
+  return source_.columns.PointsPerBlock(
+      source_.compression == core::Compression::kNone ? kMaxBatchBytes / 2
+                                                      : kMaxBatchBytes);
 }
 
 absl::Status AnswerStream::BeginBlock() {
@@ -150,8 +164,7 @@ absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
     MAPSIEVE_RETURN_IF_ERROR(LoadChunk());
   }
   if (!is_first) MAPSIEVE_RETURN_IF_ERROR(LoadPending());
-  const size_t count = std::min(source_.columns.PointsPerBlock(kMaxBatchBytes),
-                                pending_.size() - taken_);
+  const size_t count = std::min(PointsPerBlock(), pending_.size() - taken_);
   for (size_t row = taken_; row < taken_ + count; ++row) {
     ++taken_totals_.label_counts[static_cast<size_t>(pending_labels_[row])];
   }
@@ -167,7 +180,7 @@ absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
 }
 
 absl::Status AnswerStream::LoadPending() {
-  const size_t wanted = source_.columns.PointsPerBlock(kMaxBatchBytes);
+  const size_t wanted = PointsPerBlock();
   while (!is_walked_ && !stored_.has_value() &&
          pending_.size() - taken_ < wanted) {
     MAPSIEVE_RETURN_IF_ERROR(LoadChunk());

@@ -77,8 +77,8 @@ struct AnswerSource {
                          MissingChunks* missing) const;
 };
 
-/// Blocks of an answer that are made at the same time.
-inline constexpr size_t kBlocksAhead = 3;
+/// Blocks of an answer that are made at the same time, at most.
+inline constexpr size_t kMaxBlocksAhead = 3;
 
 /// One pass over the chunks of an answer, as blocks. The same source and choice
 /// give the same blocks. Used by one thread.
@@ -122,6 +122,11 @@ class AnswerStream {
   absl::StatusOr<core::LatticeCloud> TakePoints();
   /// The stored chunk whose turn it is, if any.
   std::optional<Block> TakeStored();
+  /// How many blocks are to be made at the same time: together about half of
+  /// kMaxBatchBytes, so that with two messages of half of it on their way a
+  /// client that reads slowly costs two batches.
+  size_t BlocksAhead() const;
+  size_t PointsPerBlock() const;
   /// Has the next block encoded, or finds that there is none.
   absl::Status BeginBlock();
   /// Makes the pending points enough for a block, if as many come before a
@@ -160,6 +165,7 @@ class AnswerStream {
   Totals taken_totals_;
   Totals given_;
   bool is_ended_ = false;
+  size_t last_block_bytes_ = 0;
   /// A block being encoded, and the totals up to it.
   struct Coming {
     std::future<absl::StatusOr<Block>> block;

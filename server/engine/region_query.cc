@@ -44,7 +44,7 @@ constexpr int64_t kCheapPointBytes = 3;
 /// A chunk decoded, its selected rows, and those rows waiting to be sent.
 constexpr int64_t kChunkCopies = 3;
 /// Blocks before and after they are encoded, and two messages on their way.
-constexpr int64_t kBatchCopies = 2 * kBlocksAhead + 3;
+constexpr int64_t kBatchCopies = 2 * kMaxBlocksAhead + 3;
 
 /// Some milliseconds of sorting.
 constexpr size_t kRowsBetweenStops = 65536;

@@ -16,6 +16,10 @@
 namespace mapsieve::rpc {
 namespace {
 
+// What several blocks of one message have at most: half of a batch costs little
+// speed, and two messages are kept for a client that reads slowly.
+constexpr size_t kGatheredBytes = engine::kMaxBatchBytes / 2;
+
 // One call of QueryRegion: a header, batches, a summary.
 class QueryReactor final : public StreamReactor<grpc::ByteBuffer> {
  public:
@@ -78,7 +82,7 @@ class QueryReactor final : public StreamReactor<grpc::ByteBuffer> {
         if (!ahead_.has_value()) return blocks;
       }
       bytes += ahead_->size();
-      if (!blocks.empty() && bytes > engine::kMaxBatchBytes) return blocks;
+      if (!blocks.empty() && bytes > kGatheredBytes) return blocks;
       blocks.push_back(*std::exchange(ahead_, std::nullopt));
       resume_token_ = cursor_->resume_token();
       if (!std::exchange(gathers_, may_gather_)) return blocks;

@@ -780,8 +780,8 @@ TEST(RegionQuery, BatchesKeepTheirLimitHoweverWideThePoints) {
   // Not the chunks as they are stored.
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(
       const Answer answer, workshop.Query({.raw = true, .plain_blocks = true}));
-  EXPECT_GE(answer.batch_count, 4);
-  EXPECT_LE(answer.batch_count, 8);
+  EXPECT_GE(answer.batch_count, 8);
+  EXPECT_LE(answer.batch_count, 16);
   ExpectSameCloud(InCanonicalOrder(answer.points), InCanonicalOrder(cloud));
 }
 

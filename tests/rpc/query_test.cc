@@ -370,7 +370,7 @@ TEST_F(QueryServiceTest, TheClientGoesOnWhenTheServerComesBack) {
 
 TEST_F(QueryServiceTest, BlocksTravelTogetherAndATokenIsBehindThemAll) {
   MAPSIEVE_ASSERT_OK(client_->CreateMap("campus"));
-  MAPSIEVE_ASSERT_OK(client_->Upload("campus", "u", TestScene(600'000)));
+  MAPSIEVE_ASSERT_OK(client_->Upload("campus", "u", TestScene(200'000)));
   v1::QueryRegionRequest request;
   request.set_name("maps/campus");
   request.set_raw(true);
