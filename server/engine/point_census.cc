@@ -113,7 +113,11 @@ class TileCounter {
                  << bits) |
                 (offset.z >> cell_level_))];
           });
-      if (!status.ok()) return absl::UnavailableError(status.message());
+      // Nothing of the map is lost: the upload is still there.
+      if (absl::IsDataLoss(status)) {
+        return absl::UnavailableError(status.message());
+      }
+      MAPSIEVE_RETURN_IF_ERROR(status);
     }
     counts_.distinct += static_cast<int64_t>(cells.size());
     for (const ChunkRef& chunk : chunks_.before) {

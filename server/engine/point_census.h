@@ -29,8 +29,8 @@ int DensityCellLevel(int64_t step_nm, int tile_level);
 /// tile. Depends on the sets of points alone, except that damaged chunks of
 /// `base` leave overlapping_point_count open. Memory: about limits.bucket_bytes
 /// and a decoded chunk for each worker, whatever the tiles hold.
-/// kUnavailable: a chunk of `added` or `rest` cannot be read back; kCancelled;
-/// errors of storage.
+/// kUnavailable: a chunk of `added` or `rest` is damaged; kCancelled; errors of
+/// storage.
 absl::StatusOr<PointCensus> TakeCensus(const storage::ReadSnapshot& base,
                                        std::span<const storage::ChunkRef> added,
                                        const RegionCut& cut,
