@@ -273,7 +273,7 @@ TEST(Renderer, DrawsWhatIsInTheBoxAlone) {
   std::vector<uint8_t> labels;
   for (int i = 0; i < 400; ++i) {
     const double x = i % 20;
-    const double y = i / 20;  // NOLINT(bugprone-integer-division)
+    const auto y = static_cast<double>(i / 20);
     cloud.positions.insert(cloud.positions.end(), {{x, y, 0}, {x, y, 2.5}});
     labels.insert(labels.end(), {3, 2});
   }

@@ -76,6 +76,18 @@ std::vector<v1::SyncRegionResponse> Sync(TestClient& client,
   return responses;
 }
 
+// Appends what a stream still gives to `got`.
+void AppendRest(client::QueryStream& stream, core::LatticeCloud& got) {
+  while (true) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto batch, stream.Next());
+    if (batch.size() == 0) return;
+    MAPSIEVE_ASSERT_OK(
+        got.attributes.AppendAll(got.size(), batch.attributes, batch.size()));
+    got.positions.insert(got.positions.end(), batch.positions.begin(),
+                         batch.positions.end());
+  }
+}
+
 TEST_F(QueryServiceTest, AnswersWaitForTheMemoryOfOthers) {
   server_.reset();
   ServerOptions options = Options();
@@ -353,14 +365,7 @@ TEST_F(QueryServiceTest, TheClientGoesOnWhenTheServerComesBack) {
   server_.reset();
   const int before = ended_->count();
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(server_, Server::Start(options, logger_));
-  while (true) {
-    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto batch, stream->Next());
-    if (batch.size() == 0) break;
-    MAPSIEVE_ASSERT_OK(
-        got.attributes.AppendAll(got.size(), batch.attributes, batch.size()));
-    got.positions.insert(got.positions.end(), batch.positions.begin(),
-                         batch.positions.end());
-  }
+  AppendRest(*stream, got);
   EXPECT_TRUE(got.positions == whole.positions);
   EXPECT_EQ(got.attributes, whole.attributes);
   EXPECT_EQ(stream->summary().point_count, 300'000);
@@ -459,14 +464,7 @@ TEST_F(QueryServiceTest, PackedColumnsAreThePlainOnesInFewerBytes) {
   }
   EXPECT_EQ(stream->header().columns, specs);
   core::LatticeCloud got;
-  while (true) {
-    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto batch, stream->Next());
-    if (batch.size() == 0) break;
-    MAPSIEVE_ASSERT_OK(
-        got.attributes.AppendAll(got.size(), batch.attributes, batch.size()));
-    got.positions.insert(got.positions.end(), batch.positions.begin(),
-                         batch.positions.end());
-  }
+  AppendRest(*stream, got);
   EXPECT_TRUE(got.positions == plain.cloud.positions);
   EXPECT_EQ(got.attributes, plain.cloud.attributes);
   EXPECT_EQ(stream->summary().block_bytes, packed.summary.block_bytes());
