@@ -45,13 +45,13 @@ class WorkerPool final : public Executor {
   void ParallelFor(int64_t count,
                    const std::function<void(int64_t)>& task) override {
     if (count <= 0) return;
+    if (count == 1) return task(0);
     MutexLock one_at_a_time(run_mutex_);
     {
       MutexLock lock(mutex_);
       task_ = &task;
       count_ = count;
       next_.store(0, std::memory_order_relaxed);
-      busy_ = static_cast<int>(threads_.size());
       error_ = nullptr;
       ++generation_;
     }
@@ -60,8 +60,10 @@ class WorkerPool final : public Executor {
     std::exception_ptr error;
     {
       MutexLock lock(mutex_);
-      while (busy_ > 0) work_done_.wait(mutex_);
+      // A worker that has not woken up by now finds nothing to do; only those
+      // inside a task are waited for.
       task_ = nullptr;
+      while (busy_ > 0) work_done_.wait(mutex_);
       error = error_;
     }
     if (error) std::rethrow_exception(error);
@@ -75,13 +77,15 @@ class WorkerPool final : public Executor {
       int64_t count = 0;
       {
         MutexLock lock(mutex_);
-        while (!stopping_ && generation_ == seen_generation) {
+        while (!stopping_ &&
+               (task_ == nullptr || generation_ == seen_generation)) {
           work_available_.wait(mutex_);
         }
         if (stopping_) return;
         seen_generation = generation_;
         task = task_;
         count = count_;
+        ++busy_;
       }
       RunTasks(*task, count);
       MutexLock lock(mutex_);

@@ -58,6 +58,22 @@ int64_t Diagonal(const IndexBox& box) {
 
 }  // namespace
 
+/// Counts by itself and adds to a shared total when it ends: threads that
+/// changed the total often would wait for its cache line.
+class WorkUnit::LocalCount {
+ public:
+  explicit LocalCount(std::atomic<int64_t>& total) : total_(total) {}
+  ~LocalCount() { total_.fetch_add(count_, std::memory_order_relaxed); }
+  LocalCount(const LocalCount&) = delete;
+  LocalCount& operator=(const LocalCount&) = delete;
+
+  void Add(int64_t count) { count_ += count; }
+
+ private:
+  std::atomic<int64_t>& total_;
+  int64_t count_ = 0;
+};
+
 WorkUnit::WorkUnit(const LatticePoint& origin, const SpdfOptions& options,
                    const SpdfConstants& constants)
     : options_(options), constants_(constants), index_(origin), dead_(origin) {}
@@ -178,11 +194,10 @@ absl::Status WorkUnit::ForEachGroup(const ExecutionContext& context,
 template <typename Use>
 void WorkUnit::CastBallVotes(GatheredBlock& block, int64_t bound,
                              int32_t limit_d2, std::span<const uint32_t> points,
-                             const Use& use) const {
+                             LocalCount& votes, const Use& use) const {
   const Kernels& kernels = ActiveKernels();
   const int k = constants_.neighbor_count;
   const int64_t radius = std::min(CeilRoot(limit_d2), bound);
-  int64_t votes = 0;
   SplitWide(
       index_, points, GroupExtent(radius),
       [&](const IndexBox& box, std::span<const uint32_t> part) {
@@ -207,14 +222,13 @@ void WorkUnit::CastBallVotes(GatheredBlock& block, int64_t bound,
           kernels.ball_vote(block.block(),
                             {x, y, z, k, bound_d2, constants_.weight_scale},
                             scratch, &sums);
-          votes += sums.member_count;
+          votes.Add(sums.member_count);
           last = {x, y, z};
           last_radius =
               sums.member_count == k ? CeilRoot(sums.radius_d2) : kUnbounded;
           use(i, sums);
         }
       });
-  vote_count_.fetch_add(votes, std::memory_order_relaxed);
 }
 
 class WorkUnit::RoundVisitor {
@@ -224,6 +238,7 @@ class WorkUnit::RoundVisitor {
       : unit_(unit),
         constants_(unit.constants_),
         round_(round),
+        votes_(unit.vote_count_),
         died_(died),
         flagged_(flagged),
         early_d2_(EarlyRadius(constants_)),
@@ -277,7 +292,7 @@ class WorkUnit::RoundVisitor {
     const int k = constants_.neighbor_count;
     undecided_.clear();
     unit_.CastBallVotes(
-        block_, bound, early_d2_, points,
+        block_, bound, early_d2_, points, votes_,
         [&](uint32_t i, const BallSums& sums) {
           // Without all neighbours, whatever is missing lies beyond.
           const int64_t missing =
@@ -293,7 +308,7 @@ class WorkUnit::RoundVisitor {
         });
     if (undecided_.empty()) return;
     unit_.CastBallVotes(
-        block_, bound, constants_.reach_d2, undecided_,
+        block_, bound, constants_.reach_d2, undecided_, votes_,
         [&](uint32_t i, const BallSums& sums) {
           StateOf(i) = {};
           if (MayBeFlagged(sums.c0, constants_)) {
@@ -303,22 +318,18 @@ class WorkUnit::RoundVisitor {
   }
 
   void Draw(std::span<const uint32_t> active) {
-    int64_t died = 0;
-    int64_t flagged = 0;
     for (const uint32_t i : active) {
       RoundState& state = StateOf(i);
       if (state.flags == 0) continue;
       if (SurvivesDraws(i, state.flags)) {
-        ++flagged;
+        flagged_.Add(1);
       } else {
         unit_.deaths_[unit_.index_.numbers()[i]] =
             static_cast<DeathRound>(round_);
         state = {};
-        ++died;
+        died_.Add(1);
       }
     }
-    died_.fetch_add(died, std::memory_order_relaxed);
-    flagged_.fetch_add(flagged, std::memory_order_relaxed);
   }
 
   bool SurvivesDraws(uint32_t i, uint32_t flags) const {
@@ -340,8 +351,9 @@ class WorkUnit::RoundVisitor {
   WorkUnit& unit_;
   const SpdfConstants& constants_;
   const int round_;
-  std::atomic<int64_t>& died_;
-  std::atomic<int64_t>& flagged_;
+  LocalCount votes_;
+  LocalCount died_;
+  LocalCount flagged_;
   const int32_t early_d2_;
   /// An upper bound of the weight of a voter beyond it.
   const int32_t early_weight_;
@@ -387,12 +399,13 @@ absl::Status WorkUnit::RunQuota(int64_t radius_d2,
 
 class WorkUnit::VoterVisitor {
  public:
-  explicit VoterVisitor(WorkUnit& unit) : unit_(unit), block_(unit.index_) {}
+  explicit VoterVisitor(WorkUnit& unit)
+      : unit_(unit), votes_(unit.vote_count_), block_(unit.index_) {}
 
   void operator()(int64_t bound, std::span<const uint32_t> points) {
     const int k = unit_.constants_.neighbor_count;
     unit_.CastBallVotes(block_, bound, unit_.constants_.reach_d2, points,
-                        [&](uint32_t i, const BallSums& s) {
+                        votes_, [&](uint32_t i, const BallSums& s) {
                           // T = C0 I - A / 2.
                           const double c0 = ToStrength(s.c0, k);
                           const double tensor[6] = {
@@ -429,6 +442,7 @@ class WorkUnit::VoterVisitor {
   }
 
   WorkUnit& unit_;
+  LocalCount votes_;
   GatheredBlock block_;
   EigenBatch batch_;
   size_t pending_ = 0;
@@ -447,8 +461,11 @@ absl::Status WorkUnit::ComputeVoters(const ExecutionContext& context) {
 
 class WorkUnit::LabelVisitor {
  public:
-  LabelVisitor(const WorkUnit& unit, LabelColumns& columns)
-      : unit_(unit), columns_(columns), block_(unit.index_) {}
+  LabelVisitor(WorkUnit& unit, LabelColumns& columns)
+      : unit_(unit),
+        columns_(columns),
+        votes_(unit.vote_count_),
+        block_(unit.index_) {}
 
   void operator()(int64_t, std::span<const uint32_t> points) {
     SplitWide(unit_.index_, points, kMaxRadiusSteps,
@@ -486,7 +503,6 @@ class WorkUnit::LabelVisitor {
         tensors_[e * room + c] = std::bit_cast<int32_t>(voter.tensor[e]);
       }
     }
-    int64_t votes = 0;
     for (const uint32_t i : points) {
       const auto [x, y, z] = block_.Relative(i);
       VoteSums sums;
@@ -494,7 +510,7 @@ class WorkUnit::LabelVisitor {
                          {x, y, z, constants.neighbor_count,
                           VoterOf(i).radius_d2, constants.weight_scale},
                          tensors, scratch, &sums);
-      votes += sums.member_count;
+      votes_.Add(sums.member_count);
       if (sums.member_count == 0) {
         columns_.label[i] = Label::kNone;
         columns_.confidence[i] = 0;
@@ -512,7 +528,6 @@ class WorkUnit::LabelVisitor {
       rows_[pending_] = i;
       if (++pending_ == EigenBatch::kSize) Flush();
     }
-    unit_.vote_count_.fetch_add(votes, std::memory_order_relaxed);
   }
 
   void Flush() {
@@ -561,6 +576,7 @@ class WorkUnit::LabelVisitor {
 
   const WorkUnit& unit_;
   LabelColumns& columns_;
+  LocalCount votes_;
   GatheredBlock block_;
   std::vector<int32_t> tensors_;
   EigenBatch batch_;

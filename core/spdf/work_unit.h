@@ -131,11 +131,14 @@ class WorkUnit {
                             uint32_t group_points, const IsWanted& is_wanted,
                             const MakeVisitor& make_visitor) const;
 
+  class LocalCount;
   /// Calls use(index point, sums) with the ball votes of some points from
-  /// neighbours within limit_d2; `bound` as in ForEachGroup.
+  /// neighbours within limit_d2; `bound` as in ForEachGroup. Adds to `votes`
+  /// how many were summed up.
   template <typename Use>
   void CastBallVotes(GatheredBlock& block, int64_t bound, int32_t limit_d2,
-                     std::span<const uint32_t> points, const Use& use) const;
+                     std::span<const uint32_t> points, LocalCount& votes,
+                     const Use& use) const;
 
   class RoundVisitor;
   class VoterVisitor;
@@ -152,7 +155,7 @@ class WorkUnit {
   PointIndex index_;
   PointIndex dead_;
   int indexed_round_ = -1;
-  mutable std::atomic<int64_t> vote_count_ = 0;
+  std::atomic<int64_t> vote_count_ = 0;
 };
 
 }  // namespace mapsieve::core
