@@ -196,6 +196,25 @@ absl::Status CheckLengths(const BlockHead& head) {
 
 }  // namespace
 
+PointBounds BoundsOf(std::span<const LatticePoint> positions) {
+  if (positions.empty()) return {};
+  PointBounds bounds{positions.front(), positions.front()};
+  for (const LatticePoint& q : positions) {
+    bounds.min = {std::min(bounds.min.x, q.x), std::min(bounds.min.y, q.y),
+                  std::min(bounds.min.z, q.z)};
+    bounds.max = {std::max(bounds.max.x, q.x), std::max(bounds.max.y, q.y),
+                  std::max(bounds.max.z, q.z)};
+  }
+  return bounds;
+}
+
+int64_t DecodedBytes(uint64_t point_count, std::span<const ColumnSpec> specs,
+                     size_t columns_with_missing) {
+  uint64_t bytes_per_point = sizeof(LatticePoint) + columns_with_missing;
+  for (const ColumnSpec& spec : specs) bytes_per_point += ScalarSize(spec.type);
+  return static_cast<int64_t>(point_count * bytes_per_point);
+}
+
 std::string QuotedName(const std::string& name) {
   return absl::StrCat("\"", absl::CEscape(name), "\"");
 }

@@ -42,6 +42,24 @@ constexpr uint64_t MissingBitmapBytes(uint64_t point_count) {
 inline constexpr std::string_view kAxisNames[] = {"x", "y", "z"};
 inline constexpr std::string_view kMortonName = "morton";
 inline constexpr int kMortonAxisBits = 21;
+/// The coordinates that those three are of.
+inline constexpr int64_t LatticePoint::*kAxes[] = {
+    &LatticePoint::x, &LatticePoint::y, &LatticePoint::z};
+
+/// Smallest and largest coordinates, inclusive, as the head of a block has
+/// them.
+struct PointBounds {
+  LatticePoint min;
+  LatticePoint max;
+};
+
+/// Of no points: the origin.
+PointBounds BoundsOf(std::span<const LatticePoint> positions);
+
+/// BlockHeader::decoded_bytes for attributes `specs`, of which
+/// `columns_with_missing` lack values.
+int64_t DecodedBytes(uint64_t point_count, std::span<const ColumnSpec> specs,
+                     size_t columns_with_missing);
 
 struct BlockHead {
   int64_t step_nm = 0;
