@@ -2,8 +2,9 @@
 // the error of its normals, for both rules.
 //   label_table [FOLDER]     with yard_100k.bin, room_370k.bin and their .truth
 //                            files; without it these clouds are left out
-//   label_table --held-out   the first table alone, of clouds that no criterion
-//                            was chosen on
+//   label_table --held-out [K]   the first table alone, of clouds that no
+//                            criterion was chosen on; K neighbours instead of
+//                            50
 // A point counts if its ball of the density radius holds at least k others in
 // the input: there the density reaches the one aimed at.
 #include <algorithm>
@@ -11,6 +12,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
+#include <cstdlib>
 #include <map>
 #include <span>
 #include <string>
@@ -34,6 +36,8 @@ using core::Label;
 using core::LabelCounts;
 
 constexpr std::array kRules = {DensityRule::kPaper, DensityRule::kQuota};
+
+constexpr int kNeighborCount = core::SpdfOptions().neighbor_count;
 
 /// A post deserves to be a curve if the ball is this many times as thick.
 constexpr double kSlenderness = 10;
@@ -93,12 +97,14 @@ std::vector<int64_t> CountOthers(const client::BallCounter& input,
   return counts;
 }
 
-absl::StatusOr<CloudResult> Evaluate(const KnownCloud& known) {
+absl::StatusOr<CloudResult> Evaluate(const KnownCloud& known,
+                                     int neighbor_count) {
   CloudResult result{.name = known.name, .kinds = known.kinds};
   const client::BallCounter input(known.cloud.positions);
   std::map<double, std::vector<int64_t>> others_of_radius;
   for (size_t s = 0; s < kSettings.size(); ++s) {
     core::SpdfOptions options = {
+        .neighbor_count = neighbor_count,
         .vote_scale_m2 = kSettings[s].vote_scale_m2,
         .density_radius_m = kSettings[s].density_radius_m};
     std::vector<int64_t>& others = others_of_radius[options.density_radius_m];
@@ -354,17 +360,19 @@ struct Simulated {
   std::vector<CloudResult> yard;
 };
 
-absl::StatusOr<Simulated> EvaluateSimulated(Scenes scenes) {
+absl::StatusOr<Simulated> EvaluateSimulated(Scenes scenes, int neighbor_count) {
   Simulated results;
   for (const double noise : {0.0, 0.012, 0.02}) {
     std::array<char, 32> suffix;
     std::snprintf(suffix.data(), suffix.size(), ", noise %.1f cm", noise * 100);
     MAPSIEVE_ASSIGN_OR_RETURN(KnownCloud known, CampusCloud(scenes, noise));
     known.name += suffix.data();
-    MAPSIEVE_ASSIGN_OR_RETURN(results.campus.emplace_back(), Evaluate(known));
+    MAPSIEVE_ASSIGN_OR_RETURN(results.campus.emplace_back(),
+                              Evaluate(known, neighbor_count));
     MAPSIEVE_ASSIGN_OR_RETURN(known, YardCloud(scenes, noise));
     known.name += suffix.data();
-    MAPSIEVE_ASSIGN_OR_RETURN(results.yard.emplace_back(), Evaluate(known));
+    MAPSIEVE_ASSIGN_OR_RETURN(results.yard.emplace_back(),
+                              Evaluate(known, neighbor_count));
   }
   return results;
 }
@@ -381,9 +389,10 @@ void PrintDeserved(const Simulated& simulated,
   for (const CloudResult& result : references) PrintBar(result.name, {result});
 }
 
-absl::Status PrintHeldOut() {
-  MAPSIEVE_ASSIGN_OR_RETURN(const Simulated simulated,
-                            EvaluateSimulated(Scenes::kHeldOut));
+absl::Status PrintHeldOut(int neighbor_count) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Simulated simulated,
+      EvaluateSimulated(Scenes::kHeldOut, neighbor_count));
   PrintDeserved(simulated, {});
   return absl::OkStatus();
 }
@@ -399,11 +408,13 @@ absl::Status PrintTables(const std::string& reference_folder) {
     for (const auto& [file, split] : files) {
       MAPSIEVE_ASSIGN_OR_RETURN(const KnownCloud known,
                                 ReferenceCloud(reference_folder + file, split));
-      MAPSIEVE_ASSIGN_OR_RETURN(references.emplace_back(), Evaluate(known));
+      MAPSIEVE_ASSIGN_OR_RETURN(references.emplace_back(),
+                                Evaluate(known, kNeighborCount));
     }
   }
-  MAPSIEVE_ASSIGN_OR_RETURN(const Simulated simulated,
-                            EvaluateSimulated(Scenes::kChosenOn));
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Simulated simulated,
+      EvaluateSimulated(Scenes::kChosenOn, kNeighborCount));
   PrintDeserved(simulated, references);
 
   std::printf(
@@ -429,14 +440,17 @@ absl::Status PrintTables(const std::string& reference_folder) {
 }  // namespace mapsieve::bench
 
 int main(int argc, char** argv) {
-  if (argc > 2) {
-    std::fprintf(stderr, "usage: %s [FOLDER | --held-out]\n", argv[0]);
+  using namespace mapsieve::bench;
+  const std::string argument = argc > 1 ? argv[1] : "";
+  const bool held_out = argument == "--held-out";
+  const int neighbor_count =
+      held_out && argc == 3 ? std::atoi(argv[2]) : kNeighborCount;
+  if (argc > (held_out ? 3 : 2) || neighbor_count < 1) {
+    std::fprintf(stderr, "usage: %s [FOLDER | --held-out [K]]\n", argv[0]);
     return 2;
   }
-  const std::string argument = argc == 2 ? argv[1] : "";
-  const absl::Status status = argument == "--held-out"
-                                  ? mapsieve::bench::PrintHeldOut()
-                                  : mapsieve::bench::PrintTables(argument);
+  const absl::Status status =
+      held_out ? PrintHeldOut(neighbor_count) : PrintTables(argument);
   if (!status.ok()) {
     std::fprintf(stderr, "%s\n", status.ToString().c_str());
     return 1;
