@@ -771,7 +771,7 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
   command->add_option("--min-normal-cosine", evaluation.min_normal_cosine,
                       "ICP pairs no points whose normals' cosine is below this "
                       "in magnitude (0 to 1): they lie on different surfaces; "
-                      "default 0, it pairs all");
+                      "default 0.5; 0 pairs all");
   options->threads =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   command->add_option("--threads", options->threads, "Default: one a processor")
