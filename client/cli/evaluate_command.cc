@@ -97,6 +97,7 @@ Json SettingsJson(const Plan& plan, double target_m) {
                    {"seed", options.seed},
                    {"max_translation_m", options.max_translation_m},
                    {"max_rotation_deg", options.max_rotation_deg},
+                   {"min_normal_cosine", options.min_normal_cosine},
                    {"target_m", target_m}};
   if (plan.about.contains("truth")) settings["truth"] = plan.about["truth"];
   return settings;

@@ -738,6 +738,8 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
                        "Pairs of rooms, streets and woods, default 15 15 15")
           ->expected(3)
           ->allow_extra_args(false));
+  command->add_option("--first-pair", options->simulated.first_pair,
+                      "Number of the first room, street and wood, default 0");
   command->add_option("--rotations", options->simulated.rotation_count,
                       "Of the scanner, 32768 pulses each, for a simulated scan "
                       "(1 to 32), default 2");
@@ -766,6 +768,10 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
                       "0.5");
   command->add_option("--max-rotation", evaluation.max_rotation_deg,
                       "And so many degrees, default 20");
+  command->add_option("--min-normal-cosine", evaluation.min_normal_cosine,
+                      "ICP pairs no points whose normals' cosine is below this "
+                      "in magnitude (0 to 1): they lie on different surfaces; "
+                      "default 0.5; 0 pairs all");
   options->threads =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   command->add_option("--threads", options->threads, "Default: one a processor")

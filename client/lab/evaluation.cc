@@ -108,6 +108,7 @@ std::vector<Trial> PlannedTrials(const EvaluationOptions& options,
       trial.environment = pairs[cell.pair].environment;
       trial.method = cell.method.name();
       trial.icp = icp;
+      trial.min_normal_cosine = options.min_normal_cosine;
       trial.count = cell.count;
       trial.number = number;
       const Perturbation p = Perturb(options, trial.pair, number);
@@ -243,6 +244,7 @@ absl::Status RunTrial(const SampledScan& reading, const SampledScan& reference,
                       const core::RigidTransform& truth,
                       const core::RigidTransform& start, Trial& trial) {
   const core::IcpOptions icp = {.method = trial.icp,
+                                .min_normal_cosine = trial.min_normal_cosine,
                                 .max_iteration_count = kMaxIterationCount};
   const auto begin = std::chrono::steady_clock::now();
   MAPSIEVE_ASSIGN_OR_RETURN(
@@ -380,7 +382,7 @@ class CellWriter {
   size_t next_ ABSL_GUARDED_BY(mutex_) = 0;
 };
 
-/// Whether `trial` may be the result of `planned`. Lines round to nanometres.
+/// Whether `trial` may be the result of `planned`. Lines round to 9 decimals.
 bool IsResultOf(const Trial& trial, const Trial& planned) {
   constexpr double kRounding = 1e-8;
   return trial.pair == planned.pair &&
@@ -388,6 +390,8 @@ bool IsResultOf(const Trial& trial, const Trial& planned) {
          trial.method == planned.method && trial.icp == planned.icp &&
          trial.count == planned.count && trial.number == planned.number &&
          std::abs(trial.initial_translation_m - planned.initial_translation_m) <
+             kRounding &&
+         std::abs(trial.min_normal_cosine - planned.min_normal_cosine) <
              kRounding &&
          std::abs(trial.initial_rotation_deg - planned.initial_rotation_deg) <
              kRounding;

@@ -46,6 +46,8 @@ struct Trial {
   Environment environment = Environment::kReal;
   std::string method;
   core::IcpMethod icp = core::IcpMethod::kPointToPlane;
+  /// Of EvaluationOptions.
+  double min_normal_cosine = 0;
   int64_t count = 0;
   int number = 0;
   /// How far the start is from the truth.
@@ -95,7 +97,9 @@ absl::StatusOr<int64_t> CountDone(const EvaluationOptions& options,
 /// those that the service gives: of the labels that the method itself found, or
 /// of the votes on the whole scan for methods that label nothing. Votes have
 /// the default options; spatial-spdf has a density radius of 0.2 m. ICP pairs
-/// two neighbours, keeps 75 % of the pairs and makes 45 steps at most.
+/// two neighbours, leaves out those whose normals differ by more than
+/// options.min_normal_cosine allows (the normals of point-to-plane, with either
+/// ICP), keeps 75 % of the rest and makes 45 steps at most.
 ///
 /// Reports progress in registrations, to context.progress, from any of the
 /// workers, one call at a time. Errors: kInvalidArgument (options; a pair's

@@ -82,6 +82,10 @@ absl::Status EvaluationOptions::Validate() const {
     return wrong("max_rotation_deg is ", max_rotation_deg,
                  "; expected 0 to 180");
   }
+  if (!(min_normal_cosine >= 0 && min_normal_cosine <= 1)) {
+    return wrong("min_normal_cosine is ", min_normal_cosine,
+                 "; expected 0 to 1");
+  }
   return absl::OkStatus();
 }
 

@@ -73,6 +73,10 @@ absl::Status SimulatedPairOptions::Validate() const {
           absl::StrCat("pair_counts holds ", count, "; expected 0 to 1000"));
     }
   }
+  if (first_pair < 0 || first_pair > 1'000'000) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("first_pair is ", first_pair, "; expected 0 to 1000000"));
+  }
   if (rotation_count < 1 || rotation_count > 32) {
     return absl::InvalidArgumentError(absl::StrCat(
         "rotation_count is ", rotation_count, "; expected 1 to 32"));
@@ -84,13 +88,14 @@ std::vector<PairSource> SimulatedPairs(const SimulatedPairOptions& options) {
   std::vector<PairSource> sources;
   for (size_t kind = 0; kind < options.pair_counts.size(); ++kind) {
     const Environment environment = kEnvironments[kind];
-    for (int i = 0; i < options.pair_counts[kind]; ++i) {
+    for (int k = 0; k < options.pair_counts[kind]; ++k) {
+      const int number = options.first_pair + k;
       const int rotation_count = options.rotation_count;
       sources.push_back({absl::StrCat(ToAbsl(EnvironmentName(environment)), "-",
-                                      i, "-r", rotation_count),
-                         environment, [environment, i, rotation_count] {
+                                      number, "-r", rotation_count),
+                         environment, [environment, number, rotation_count] {
                            return absl::StatusOr<ScanPair>(
-                               MakePair(environment, i, rotation_count));
+                               MakePair(environment, number, rotation_count));
                          }});
     }
   }

@@ -12,6 +12,9 @@ namespace mapsieve::client {
 struct SimulatedPairOptions {
   /// Of kStructured, kSemiStructured and kUnstructured; 0 to 1000.
   std::array<int, 3> pair_counts = {15, 15, 15};
+  /// The number of the first of each, 0 to 1000000: what is tuned on some pairs
+  /// can be judged on others.
+  int first_pair = 0;
   /// Rotations of the scanner that make a scan, 1 to 32: each sends 32768
   /// pulses, at bearings of its own.
   int rotation_count = 2;

@@ -47,11 +47,11 @@ class Evaluate(FolderTest):
         cls.printed = mapsieve("evaluate", "-o", cls.report, *cls.options())
 
     @classmethod
-    def options(cls):
+    def options(cls, min_normal_cosine=0.5):
         return ("--simulated", 1, 0, 0, "--rotations", 1, "--pairs",
                 cls.work / "pairs.yaml", "--pairs-folder", cls.work / "scans",
                 "--methods", ",".join(METHODS), "--counts", "300,600",
-                "--trials", 2)
+                "--trials", 2, "--min-normal-cosine", min_normal_cosine)
 
     def test_writes_every_registration(self):
         with open(self.report / "trials.csv") as file:
@@ -73,6 +73,7 @@ class Evaluate(FolderTest):
             trials = list(csv.DictReader(file))
         summary = json.loads((self.report / "summary.json").read_text())
         self.assertEqual(summary["settings"]["counts"], [300, 600])
+        self.assertEqual(summary["settings"]["min_normal_cosine"], 0.5)
         with open(self.report / "summary.csv") as file:
             rows = list(csv.DictReader(file))
         # Two environments and all, two counts and all.
@@ -119,12 +120,12 @@ class Evaluate(FolderTest):
         self.assertEqual(again["registrations_before"],
                          self.printed["registrations"])
         self.assertEqual(trials.read_bytes(), whole)
-        other = run_command("evaluate", "-o", self.report, *self.options(),
-                            "--seed", 7)
-        self.assertEqual(other.returncode, 1)
-        self.assertEqual(len(other.stderr.splitlines()), 1, other.stderr)
-        self.assertIn("another evaluation", other.stderr)
-        self.assertEqual(trials.read_bytes(), whole)
+        for changed in ((*self.options(), "--seed", 7), self.options(0.8)):
+            other = run_command("evaluate", "-o", self.report, *changed)
+            self.assertEqual(other.returncode, 1)
+            self.assertEqual(len(other.stderr.splitlines()), 1, other.stderr)
+            self.assertIn("another evaluation", other.stderr)
+            self.assertEqual(trials.read_bytes(), whole)
 
     def test_estimates_without_a_run(self):
         few, full, part = (mapsieve("evaluate", "-o", self.work / "none",
@@ -143,7 +144,8 @@ class Evaluate(FolderTest):
     def test_refuses_wrong_options(self):
         for options in (("--counts", "5"), ("--methods", "magic"),
                         ("--trials", 0), ("--simulated", 0, 0, 0),
-                        ("--rotations", 40)):
+                        ("--rotations", 40), ("--min-normal-cosine", 1.5),
+                ("--first-pair", -1)):
             result = run_command("evaluate", "-o", self.work / "none",
                                  *options)
             self.assertEqual(result.returncode, 2, options)

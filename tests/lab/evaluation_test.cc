@@ -176,6 +176,27 @@ TEST(Evaluation, ComparesNamedMethodsOfDifferentSamples) {
   EXPECT_EQ(errors.size(), 3u);
 }
 
+TEST(Evaluation, PairsNoPointsWhoseNormalsDisagree) {
+  // Starts are turned, so no two normals agree to the last bit.
+  for (const double min_normal_cosine : {0.0, 1.0}) {
+    const TemporaryDirectory folder;
+    SmallEvaluation small;
+    small.options.counts = {400};
+    small.options.min_normal_cosine = min_normal_cosine;
+    MAPSIEVE_ASSERT_OK(
+        RunEvaluation(small.options, small.pairs, folder / "trials.csv"));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<Trial> trials,
+                                  ReadTrials(folder / "trials.csv"));
+    ASSERT_EQ(trials.size(), 2u * 3 * 2 * 2);
+    for (const Trial& trial : trials) {
+      EXPECT_EQ(trial.min_normal_cosine, min_normal_cosine);
+      EXPECT_EQ(trial.outcome == TrialOutcome::kTooFewPairs,
+                min_normal_cosine == 1)
+          << TrialLine(trial);
+    }
+  }
+}
+
 TEST(Evaluation, RefusesTheFileOfAnother) {
   const TemporaryDirectory folder;
   SmallEvaluation small;
@@ -197,6 +218,9 @@ TEST(Evaluation, RefusesTheFileOfAnother) {
   expect_refused(other, small.pairs);
   other = small.options;
   other.max_rotation_deg = 19;
+  expect_refused(other, small.pairs);
+  other = small.options;
+  other.min_normal_cosine = 0.001;
   expect_refused(other, small.pairs);
   expect_refused(small.options, std::span(small.pairs).first(1));
 
@@ -312,6 +336,9 @@ TEST(EvaluationOptions, HaveLimits) {
   expect_wrong({.seed = uint64_t{1} << 63}, "seed");
   expect_wrong({.max_translation_m = NAN}, "max_translation_m");
   expect_wrong({.max_rotation_deg = 181}, "max_rotation_deg is 181");
+  expect_wrong({.min_normal_cosine = -0.1}, "min_normal_cosine is -0.1");
+  expect_wrong({.min_normal_cosine = 1.01}, "min_normal_cosine is 1.01");
+  expect_wrong({.min_normal_cosine = NAN}, "min_normal_cosine");
 }
 
 TEST(TrialFile, LinesComeBack) {
@@ -319,6 +346,7 @@ TEST(TrialFile, LinesComeBack) {
                  .environment = Environment::kUnstructured,
                  .method = "spdf-quota",
                  .icp = IcpMethod::kPlaneToPlane,
+                 .min_normal_cosine = 0.8,
                  .count = 2000,
                  .number = 3,
                  .initial_translation_m = 0.25,
@@ -332,9 +360,10 @@ TEST(TrialFile, LinesComeBack) {
                  .sample_s = 0.5,
                  .icp_s = 0.25};
   const std::string line = TrialLine(trial);
-  EXPECT_EQ(line,
-            "a b,unstructured,spdf-quota,plane-to-plane,2000,3,0.250000000,"
-            "12.500000000,no-sample,5,6,7,inf,inf,0.500000,0.250000\n");
+  EXPECT_EQ(
+      line,
+      "a b,unstructured,spdf-quota,plane-to-plane,0.800000000,2000,3,"
+      "0.250000000,12.500000000,no-sample,5,6,7,inf,inf,0.500000,0.250000\n");
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Trial back,
                                 ParseTrial(line.substr(0, line.size() - 1)));
   EXPECT_EQ(TrialLine(back), line);
@@ -342,7 +371,7 @@ TEST(TrialFile, LinesComeBack) {
             std::count(TrialHeader().begin(), TrialHeader().end(), ','));
   EXPECT_THAT(ParseTrial("a,b,c"),
               StatusIs(absl::StatusCode::kInvalidArgument, ::testing::_));
-  EXPECT_THAT(ParseTrial("a,real,m,none,1,0,0,0,skipped,0,0,0,0,0,0,0"),
+  EXPECT_THAT(ParseTrial("a,real,m,none,0,1,0,0,0,skipped,0,0,0,0,0,0,0"),
               StatusIs(absl::StatusCode::kInvalidArgument, ::testing::_));
 }
 

@@ -111,6 +111,14 @@ TEST(SimulatedPairs, AreAlwaysTheSame) {
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ScanPair first, pairs[0].load());
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ScanPair second, pairs[1].load());
   EXPECT_NE(first.reference.positions, second.reference.positions);
+
+  const std::vector<PairSource> others = SimulatedPairs(
+      {.pair_counts = {1, 0, 2}, .first_pair = 1, .rotation_count = 1});
+  ASSERT_EQ(others.size(), 3u);
+  EXPECT_EQ(others[0].name, "structured-1-r1");
+  EXPECT_EQ(others[2].name, "unstructured-2-r1");
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ScanPair other, others[0].load());
+  EXPECT_EQ(other.reference.positions, second.reference.positions);
 }
 
 TEST(SimulatedPairs, TruthAlignsTheScans) {
@@ -149,6 +157,9 @@ TEST(SimulatedPairs, OptionsHaveLimits) {
   EXPECT_THAT((SimulatedPairOptions{.pair_counts = {1, -1, 0}}.Validate()),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        HasSubstr("pair_counts holds -1")));
+  EXPECT_THAT((SimulatedPairOptions{.first_pair = -1}.Validate()),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("first_pair is -1")));
 }
 
 constexpr char kIdentity[] =
