@@ -202,6 +202,8 @@ struct EvaluateCommand {
   std::string output;
   EvaluationOptions options;
   SimulatedPairOptions simulated;
+  /// Pairs of a simulated map and a scan in it, 0 to kMaxSurveyedPairs.
+  int surveyed_count = 0;
   /// Lists of pairs, and the folder of their files (ReadPairList).
   std::vector<std::string> pair_lists;
   std::string pair_folder;

@@ -18,6 +18,7 @@
 #include "client/lab/evaluation_summary.h"
 #include "client/lab/map_pair.h"
 #include "client/lab/needed_points.h"
+#include "client/lab/surveyed_pair.h"
 #include "core/base/executor.h"
 #include "core/base/status.h"
 
@@ -68,6 +69,9 @@ absl::StatusOr<Plan> PlanOf(const EvaluateCommand& command) {
   if (!command.maps.empty()) return PlanOfMaps(command);
   Plan plan = {.options = command.options,
                .pairs = SimulatedPairs(command.simulated)};
+  for (PairSource& pair : SurveyedPairs(command.surveyed_count)) {
+    plan.pairs.push_back(std::move(pair));
+  }
   for (const std::string& list : command.pair_lists) {
     MAPSIEVE_ASSIGN_OR_RETURN(std::vector<PairSource> more,
                               ReadPairList(list, command.pair_folder));
@@ -98,6 +102,7 @@ Json SettingsJson(const Plan& plan, double target_m) {
                    {"max_translation_m", options.max_translation_m},
                    {"max_rotation_deg", options.max_rotation_deg},
                    {"min_normal_cosine", options.min_normal_cosine},
+                   {"reading_points", options.reading_point_count},
                    {"target_m", target_m}};
   if (plan.about.contains("truth")) settings["truth"] = plan.about["truth"];
   return settings;
@@ -128,6 +133,7 @@ absl::Status EvaluateCommand::Validate() const {
     if (!valid.ok()) return Annotate(valid, "--transform");
   }
   const bool has_simulated =
+      surveyed_count > 0 ||
       std::any_of(simulated.pair_counts.begin(), simulated.pair_counts.end(),
                   [](int count) { return count > 0; });
   if (has_simulated || !pair_lists.empty() || !maps.empty()) {

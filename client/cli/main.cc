@@ -12,6 +12,7 @@
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "client/cli/commands.h"
+#include "client/lab/surveyed_pair.h"
 #include "core/base/heap.h"
 
 namespace mapsieve::client {
@@ -740,6 +741,12 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
           ->allow_extra_args(false));
   command->add_option("--first-pair", options->simulated.first_pair,
                       "Number of the first room, street and wood, default 0");
+  maps->excludes(
+      command
+          ->add_option("--surveyed", options->surveyed_count,
+                       "Pairs of a simulated map and a scan that a robot takes "
+                       "in it, default 0")
+          ->check(CLI::Range(0, kMaxSurveyedPairs)));
   command->add_option("--rotations", options->simulated.rotation_count,
                       "Of the scanner, 32768 pulses each, for a simulated scan "
                       "(1 to 32), default 2");
@@ -754,6 +761,11 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
                  {"point-to-plane", core::IcpMethod::kPointToPlane},
                  {"plane-to-plane", core::IcpMethod::kPlaneToPlane}},
              evaluation.icp_methods, "Comma-separated, default both");
+  command->add_option(
+      "--reading-points", evaluation.reading_point_count,
+      "Sample the first cloud of a pair alone, as a map; of the "
+      "second, a robot's scan, take so many random points for "
+      "every method");
   command
       ->add_option("--counts", evaluation.counts,
                    "Points of a sample, ascending, comma-separated, default "

@@ -109,6 +109,7 @@ std::vector<Trial> PlannedTrials(const EvaluationOptions& options,
       trial.method = cell.method.name();
       trial.icp = icp;
       trial.min_normal_cosine = options.min_normal_cosine;
+      trial.reading_point_count = options.reading_point_count;
       trial.count = cell.count;
       trial.number = number;
       const Perturbation p = Perturb(options, trial.pair, number);
@@ -269,16 +270,22 @@ absl::StatusOr<std::vector<Trial>> RunCell(const EvaluationOptions& options,
                                            const Cell& cell,
                                            const PreparedPair& pair) {
   std::vector<Trial> trials = PlannedTrials(options, pairs, cell);
-  if (cell.count > static_cast<int64_t>(std::min(pair.reference.cloud.size(),
-                                                 pair.reading.cloud.size()))) {
+  const bool samples_both = options.reading_point_count == 0;
+  const size_t size = samples_both ? std::min(pair.reference.cloud.size(),
+                                              pair.reading.cloud.size())
+                                   : pair.reference.cloud.size();
+  if (cell.count > static_cast<int64_t>(size)) {
     SetOutcome(TrialOutcome::kSkipped, trials);
     return trials;
   }
   std::array<SampledScan, 2> samples;
   for (size_t i = 0; i < samples.size(); ++i) {
     absl::StatusOr<SampledScan> sample =
-        SampleScan(i == 0 ? pair.reading : pair.reference, options, cell.method,
-                   cell.count);
+        i == 0 && !samples_both
+            ? SampleScan(pair.reading, options, {SampleMethod::kRandom},
+                         options.reading_point_count)
+            : SampleScan(i == 0 ? pair.reading : pair.reference, options,
+                         cell.method, cell.count);
     if (absl::IsFailedPrecondition(sample.status())) {
       SetOutcome(TrialOutcome::kNoSample, trials);
       return trials;
@@ -389,6 +396,7 @@ bool IsResultOf(const Trial& trial, const Trial& planned) {
          trial.environment == planned.environment &&
          trial.method == planned.method && trial.icp == planned.icp &&
          trial.count == planned.count && trial.number == planned.number &&
+         trial.reading_point_count == planned.reading_point_count &&
          std::abs(trial.initial_translation_m - planned.initial_translation_m) <
              kRounding &&
          std::abs(trial.min_normal_cosine - planned.min_normal_cosine) <

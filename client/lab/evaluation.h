@@ -48,6 +48,7 @@ struct Trial {
   core::IcpMethod icp = core::IcpMethod::kPointToPlane;
   /// Of EvaluationOptions.
   double min_normal_cosine = 0;
+  int64_t reading_point_count = 0;
   int64_t count = 0;
   int number = 0;
   /// How far the start is from the truth.

@@ -86,6 +86,10 @@ absl::Status EvaluationOptions::Validate() const {
     return wrong("min_normal_cosine is ", min_normal_cosine,
                  "; expected 0 to 1");
   }
+  if (reading_point_count != 0 && reading_point_count < 10) {
+    return wrong("reading_point_count is ", reading_point_count,
+                 "; expected 0, or 10 or more");
+  }
   return absl::OkStatus();
 }
 

@@ -44,7 +44,8 @@ struct EvaluationOptions {
   /// One at least, each once.
   std::vector<core::IcpMethod> icp_methods = {core::IcpMethod::kPointToPlane,
                                               core::IcpMethod::kPlaneToPlane};
-  /// Points that each scan is sampled to; one at least, ascending, 10 or more.
+  /// Points that each scan is sampled to, or with reading_point_count each
+  /// reference; one at least, ascending, 10 or more.
   std::vector<int64_t> counts = {1000, 2000, 5000, 10000};
   /// Starting poses of every pair, the same for all methods and counts; 1 to
   /// 1000000.
@@ -59,6 +60,10 @@ struct EvaluationOptions {
   /// default was chosen by registrations of simulated pairs of numbers 40
   /// to 54.
   double min_normal_cosine = 0.5;
+  /// Above 0, 10 or more: of every reading so many points at random, or all of
+  /// them, whatever the method and the count: a robot's own scan, registered to
+  /// a map that is sampled. 0: readings are sampled as references are.
+  int64_t reading_point_count = 0;
 
   /// kInvalidArgument naming the field, its value and its limits.
   absl::Status Validate() const;

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <cstdint>
 #include <fstream>
+#include <map>
 #include <memory>
 #include <set>
 #include <sstream>
@@ -197,6 +198,31 @@ TEST(Evaluation, PairsNoPointsWhoseNormalsDisagree) {
   }
 }
 
+TEST(Evaluation, TakesAsManyPointsOfEveryReadingAsItIsTold) {
+  const TemporaryDirectory folder;
+  SmallEvaluation small;
+  small.options.counts = {400, 1200};
+  small.options.reading_point_count = 700;
+  MAPSIEVE_ASSERT_OK(
+      RunEvaluation(small.options, small.pairs, folder / "trials.csv"));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<Trial> trials,
+                                ReadTrials(folder / "trials.csv"));
+  std::map<std::string, std::set<int64_t>> readings;
+  for (const Trial& trial : trials) {
+    EXPECT_EQ(trial.reading_point_count, 700);
+    readings[trial.pair].insert(trial.reading_points);
+    EXPECT_LE(trial.reference_points, trial.count);
+    EXPECT_GT(trial.reference_points, trial.count / 2);
+  }
+  for (const auto& [pair, counts] : readings) {
+    // The same sample for all methods and counts; points without a vote are
+    // left out.
+    ASSERT_EQ(counts.size(), 1u) << pair;
+    EXPECT_LE(*counts.begin(), 700) << pair;
+    EXPECT_GT(*counts.begin(), 600) << pair;
+  }
+}
+
 TEST(Evaluation, RefusesTheFileOfAnother) {
   const TemporaryDirectory folder;
   SmallEvaluation small;
@@ -221,6 +247,9 @@ TEST(Evaluation, RefusesTheFileOfAnother) {
   expect_refused(other, small.pairs);
   other = small.options;
   other.min_normal_cosine = 0.001;
+  expect_refused(other, small.pairs);
+  other = small.options;
+  other.reading_point_count = 100;
   expect_refused(other, small.pairs);
   expect_refused(small.options, std::span(small.pairs).first(1));
 
@@ -339,6 +368,7 @@ TEST(EvaluationOptions, HaveLimits) {
   expect_wrong({.min_normal_cosine = -0.1}, "min_normal_cosine is -0.1");
   expect_wrong({.min_normal_cosine = 1.01}, "min_normal_cosine is 1.01");
   expect_wrong({.min_normal_cosine = NAN}, "min_normal_cosine");
+  expect_wrong({.reading_point_count = 9}, "reading_point_count is 9");
 }
 
 TEST(TrialFile, LinesComeBack) {
@@ -347,6 +377,7 @@ TEST(TrialFile, LinesComeBack) {
                  .method = "spdf-quota",
                  .icp = IcpMethod::kPlaneToPlane,
                  .min_normal_cosine = 0.8,
+                 .reading_point_count = 30,
                  .count = 2000,
                  .number = 3,
                  .initial_translation_m = 0.25,
@@ -362,7 +393,7 @@ TEST(TrialFile, LinesComeBack) {
   const std::string line = TrialLine(trial);
   EXPECT_EQ(
       line,
-      "a b,unstructured,spdf-quota,plane-to-plane,0.800000000,2000,3,"
+      "a b,unstructured,spdf-quota,plane-to-plane,0.800000000,30,2000,3,"
       "0.250000000,12.500000000,no-sample,5,6,7,inf,inf,0.500000,0.250000\n");
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Trial back,
                                 ParseTrial(line.substr(0, line.size() - 1)));
@@ -371,7 +402,7 @@ TEST(TrialFile, LinesComeBack) {
             std::count(TrialHeader().begin(), TrialHeader().end(), ','));
   EXPECT_THAT(ParseTrial("a,b,c"),
               StatusIs(absl::StatusCode::kInvalidArgument, ::testing::_));
-  EXPECT_THAT(ParseTrial("a,real,m,none,0,1,0,0,0,skipped,0,0,0,0,0,0,0"),
+  EXPECT_THAT(ParseTrial("a,real,m,none,0,0,1,0,0,0,skipped,0,0,0,0,0,0,0"),
               StatusIs(absl::StatusCode::kInvalidArgument, ::testing::_));
 }
 

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "client/lab/simulated_pair.h"
+#include "client/lab/surveyed_pair.h"
 #include "core/registration/kd_tree.h"
 #include "core/registration/transform_error.h"
 #include "core/spdf/cloud_filter.h"
@@ -147,6 +148,27 @@ TEST(SimulatedPairs, StandApartAsDocumented) {
     EXPECT_LE(
         core::CompareTransforms(pair.T_reference_reading, {}).rotation_rad,
         40 * std::numbers::pi / 180);
+  }
+}
+
+TEST(SurveyedPairs, ScansLieInTheirMaps) {
+  const std::vector<PairSource> pairs = SurveyedPairs(kMaxSurveyedPairs);
+  ASSERT_EQ(pairs.size(), 12u);
+  EXPECT_EQ(pairs.back().name, "survey-11");
+  // The first one is near the beginning of the survey, the last near its end.
+  for (const size_t i : {size_t{0}, pairs.size() - 1}) {
+    SCOPED_TRACE(pairs[i].name);
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(ScanPair pair, pairs[i].load());
+    EXPECT_GT(pair.reference.size(), 500'000u);
+    EXPECT_GT(pair.reading.size(), 15'000u);
+    EXPECT_EQ(pair.T_reference_reading, RigidTransform());
+    // What is near the scanner is enough to tell.
+    for (core::LatticeCloud* cloud : {&pair.reference, &pair.reading}) {
+      std::erase_if(cloud->positions, [](const core::LatticePoint& q) {
+        return std::hypot(q.x, q.y) > 15'000;
+      });
+    }
+    ExpectTruthAligns(pair, 0.035);
   }
 }
 
