@@ -127,6 +127,20 @@ class Evaluate(FolderTest):
             self.assertIn("another evaluation", other.stderr)
             self.assertEqual(trials.read_bytes(), whole)
 
+    def test_registers_a_scan_to_a_sampled_map(self):
+        mapsieve("evaluate", "-o", self.work / "robot", "--simulated", 0, 0, 0,
+                 "--surveyed", 1, "--reading-points", 700, "--methods",
+                 "random,voxel", "--counts", "2000", "--icp", "plane-to-plane",
+                 "--trials", 1, "--max-rotation", 2)
+        with open(self.work / "robot/trials.csv") as file:
+            trials = list(csv.DictReader(file))
+        self.assertEqual([t["method"] for t in trials], ["random", "voxel"])
+        for trial in trials:
+            self.assertEqual(trial["pair"], "survey-0")
+            self.assertEqual(trial["reading_point_count"], "700")
+            self.assertLessEqual(int(trial["reading_points"]), 700)
+            self.assertGreater(int(trial["reference_points"]), 1500)
+
     def test_estimates_without_a_run(self):
         few, full, part = (mapsieve("evaluate", "-o", self.work / "none",
                                     "--estimate", *options)
@@ -145,7 +159,8 @@ class Evaluate(FolderTest):
         for options in (("--counts", "5"), ("--methods", "magic"),
                         ("--trials", 0), ("--simulated", 0, 0, 0),
                         ("--rotations", 40), ("--min-normal-cosine", 1.5),
-                ("--first-pair", -1)):
+                        ("--first-pair", -1), ("--surveyed", 13),
+                        ("--reading-points", 9)):
             result = run_command("evaluate", "-o", self.work / "none",
                                  *options)
             self.assertEqual(result.returncode, 2, options)
