@@ -327,7 +327,8 @@ class LocalEngine final : public Engine {
                                  {.id = spec.upload_id,
                                   .expected_bytes = spec.expected_bytes,
                                   .content_hash = spec.content_hash}));
-    if (record.report.empty()) {
+    if (record.report.empty() &&
+        record.state == storage::UploadState::kActive) {
       MAPSIEVE_ASSIGN_OR_RETURN(
           record,
           catalogue().SetUploadState(
@@ -410,8 +411,7 @@ class LocalEngine final : public Engine {
                           .upload_uid = upload.uid,
                           .region = region};
     if (upload.state == storage::UploadState::kFinalized) {
-      MAPSIEVE_ASSIGN_OR_RETURN(const UploadNotes notes,
-                                ParseUploadNotes(upload.report));
+      MAPSIEVE_ASSIGN_OR_RETURN(const UploadNotes notes, NotesOf(upload));
       return jobs_->RecordSuccess(map_id, spec, notes.report);
     }
     MAPSIEVE_RETURN_IF_ERROR(CheckComplete(upload));

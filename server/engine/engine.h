@@ -193,7 +193,8 @@ class Engine {
   /// (with its offset); kInvalidArgument: a block with another step than the
   /// map's, an attribute with another type than the map's (both are named), too
   /// many attributes, too large a block — the upload is then kFailed;
-  /// kResourceExhausted, kUnavailable, kInternal, kCancelled: it is kActive
+  /// kDataLoss: a chunk of the map that `region` cuts is damaged;
+  /// kResourceExhausted, kUnavailable, kInternal, kCancelled — it is kActive
   /// again. The map is as before in every case.
   virtual absl::StatusOr<Operation> FinalizeUpload(
       const std::string& map_id, const std::string& upload_id,
