@@ -240,8 +240,9 @@ absl::Status JobManager::Load() {
     for (const storage::OperationRecord& record : page) {
       std::shared_ptr<Job> job = Job::FromRecord(record);
       Operation& operation = job->operation;
+      // It may have done its work before the process ended: its runner tells.
       if (!operation.done() && operation.cancel_requested) {
-        job->MarkCancelled(operation);
+        job->stop.request_stop();
       }
       if (operation.done() && !storage::IsDone(record.state)) {
         MAPSIEVE_RETURN_IF_ERROR(

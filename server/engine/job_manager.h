@@ -33,8 +33,9 @@ struct JobLimits {
 /// Runs operations: one that filters and one that changes points at a time,
 /// each kind in the order of creation, but never two on one map. They are
 /// recorded in the catalogue, so that those that are not done when the process
-/// ends are run again by the next manager: what runs them must be idempotent.
-/// Thread-safe.
+/// ends are run again by the next manager, with a stop request if they were to
+/// be cancelled: what runs them must be idempotent, and find what it did before
+/// it looks for a stop. Thread-safe.
 class JobManager {
  public:
   /// Does the work of an operation on the map `map_id`: gets the executor and
