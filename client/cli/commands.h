@@ -53,6 +53,7 @@ struct UploadCommand {
   std::vector<std::string> files;
   std::vector<std::string> column_names;
   bool process = false;
+  bool again = false;
 };
 absl::Status RunUpload(const CommonOptions& common,
                        const UploadCommand& command);

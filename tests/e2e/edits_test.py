@@ -152,6 +152,44 @@ class Edits(ServedTest):
         self.assertEqual(half["removed_point_count"], len(inside))
         self.assertEqual(half["added_point_count"], len(inside[::2]))
 
+    def test_deleted_points_come_again_when_asked_for(self):
+        inside = [p for p in self.points if self.is_inside(p)]
+        self.make_map("returning", inside)
+        path = self.work / "returning.csv"
+        raw = self.answer("returning", "--raw")
+        self.mapsieve("delete-region", "returning", *self.sphere)
+        for flags, count in (((), 0), (("--again",), len(inside)), ((), 0)):
+            report, = self.mapsieve("upload", "returning", path,
+                                    *flags)["files"]
+            self.assertEqual(report["already_there"], count == 0)
+            self.assertEqual(report["added_point_count"], count)
+        self.assertEqual(self.answer("returning", "--raw"), raw)
+        for flags, already_there in (((), False), ((), True),
+                                     (("--again",), False)):
+            report = self.mapsieve("replace-region", "returning", path,
+                                   *self.sphere, *flags)
+            self.assertEqual(report["already_there"], already_there)
+            self.assertEqual(report["removed_point_count"],
+                             0 if already_there else len(inside))
+        self.assertEqual(self.answer("returning", "--raw"), raw)
+
+    def test_what_the_map_refused_can_be_tried_again(self):
+        self.mapsieve("create", "strict")
+        files = []
+        for scalar in ("uchar", "float"):
+            files.append(self.work / f"{scalar}.ply")
+            files[-1].write_text("\n".join([
+                "ply", "format ascii 1.0", "element vertex 1",
+                *(f"property double {axis}" for axis in "xyz"),
+                f"property {scalar} gain", "end_header", "1 2 3 4", ""]))
+        self.mapsieve("upload", "strict", files[0])
+        for _ in range(2):
+            self.fails("upload", "strict", files[1],
+                       message='"gain" is float32 here and uint8 in the map')
+        self.mapsieve("rollback", "strict", "--to", 1)
+        report, = self.mapsieve("upload", "strict", files[1])["files"]
+        self.assertEqual(report["added_point_count"], 1)
+
     def test_refusals(self):
         self.mapsieve("create", "refusing")
         for command in (("delete-region", "refusing"),
