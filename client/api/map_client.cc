@@ -432,6 +432,11 @@ absl::Status MapClient::CancelOperation(const std::string& operation_id) {
       connection_->operations->CancelOperation(&context, request, &empty));
 }
 
+absl::Status MapClient::WaitForOperation(const std::string& operation_id,
+                                         const ProgressCallback& progress) {
+  return connection_->Wait("operations/" + operation_id, progress).status();
+}
+
 absl::StatusOr<VerifyReport> MapClient::Verify(
     const std::string& map_id, int64_t compared_tile_count,
     const ProgressCallback& progress) {

@@ -121,8 +121,14 @@ class MapClient {
   /// Waits for an operation that StartProcess started.
   absl::StatusOr<ProcessReport> WaitForProcess(
       const std::string& operation_id, const ProgressCallback& progress = {});
+  /// kNotFound; finished ones are forgotten in time.
   absl::StatusOr<OperationInfo> GetOperation(const std::string& operation_id);
+  /// Asks it to stop; OK if it is done. kNotFound.
   absl::Status CancelOperation(const std::string& operation_id);
+  /// Waits until an operation of any kind is done. Its error if it failed or
+  /// was cancelled; kNotFound. `progress` counts units of its own.
+  absl::Status WaitForOperation(const std::string& operation_id,
+                                const ProgressCallback& progress = {});
 
   /// Starts a query and returns when its header is there.
   absl::StatusOr<std::unique_ptr<QueryStream>> Query(const QuerySpec& spec);

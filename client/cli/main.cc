@@ -498,6 +498,21 @@ void AddMapCommands(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+void AddOperation(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<OperationCommand>();
+  CLI::App* command = app.add_subcommand(
+      "operation",
+      "Wait for the end of what a map is busy with, as process --no-wait names "
+      "it, or end it");
+  command->add_option("OPERATION", options->operation, "Id of the operation")
+      ->required();
+  command->add_flag("--cancel", options->cancel,
+                    "Stop it; the map stays as it was, unless it is done");
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunOperation(common, *options); };
+  });
+}
+
 /// The parameters of the methods of `sample`, one of which `max_points` finds.
 void AddSamplerOptions(CLI::App& command, core::SamplerOptions& sampler) {
   std::map<std::string, core::SampleMethod> methods;
@@ -831,6 +846,7 @@ int Main(int argc, char** argv) {
   AddReplaceRegion(app, common, run);
   AddRevisionCommands(app, common, run);
   AddVerify(app, common, run);
+  AddOperation(app, common, run);
   AddMapCommands(app, common, run);
   AddSample(app, common, run);
   AddConvert(app, common, run);

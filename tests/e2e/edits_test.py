@@ -9,7 +9,7 @@ import signal
 import sys
 import unittest
 
-from programs import ServedTest, mapsieve
+from programs import ServedTest, mapsieve, run_command
 
 STEP = 0.001
 
@@ -190,6 +190,26 @@ class Edits(ServedTest):
         report, = self.mapsieve("upload", "strict", files[1])["files"]
         self.assertEqual(report["added_point_count"], 1)
 
+    def test_an_operation_is_waited_for_or_cancelled(self):
+        self.mapsieve("create", "busy")
+        self.mapsieve("upload", "busy", self.source)
+        first = self.mapsieve("process", "busy", "--no-wait")["operation"]
+        ended = self.mapsieve("operation", first)
+        self.assertEqual(ended, {"operation": first, "verb": "ProcessMap",
+                                 "target": "maps/busy", "state": "succeeded"})
+        before = self.mapsieve("info", "busy")["processed_revision"]
+        self.assertGreater(before, 0)
+        # What is done stays so.
+        self.assertEqual(self.mapsieve("operation", first, "--cancel"), ended)
+        second = self.mapsieve("process", "busy", "--rho", 0.3,
+                               "--no-wait")["operation"]
+        state = self.mapsieve("operation", second, "--cancel")["state"]
+        after = self.mapsieve("info", "busy")["processed_revision"]
+        self.assertEqual(after == before, state == "cancelled")
+        if state == "cancelled":
+            self.fails("operation", second, message="cancelled by request")
+        self.fails("operation", "none", message='no operation "none"')
+
     def test_refusals(self):
         self.mapsieve("create", "refusing")
         for command in (("delete-region", "refusing"),
@@ -206,6 +226,11 @@ class Edits(ServedTest):
                    message="nosuchmap")
         self.fails("rollback", "refusing", "--to", 2, message="1 to 1")
         self.fails("revisions", "refusing", "--compare", 1, 7, message="7")
+        self.fails("query", "refusing", "--max-points", 0, "-o", "x.ply",
+                   status=2, message="expected a number above 0, have 0")
+        result = run_command("--server", "127.0.0.1:1", "list")
+        self.assertEqual(result.returncode, 1)
+        self.assertIn("see that mapsieved runs there", result.stderr)
         absent = self.work / "absent.las"
         self.fails("replace-region", "refusing", *self.sphere, absent,
                    message="absent.las")
