@@ -107,16 +107,18 @@ class LocalEngine final : public Engine {
                     file_system, options.data_dir,
                     {.kept_revision_count = options.kept_revision_count}));
     MAPSIEVE_RETURN_IF_ERROR(RemoveStaleRuns());
-    garbage_ = std::make_unique<GarbageCollector>(*store_);
+    garbage_ = std::make_unique<GarbageCollector>(
+        *store_, options.on_collection_failure);
     MAPSIEVE_ASSIGN_OR_RETURN(
-        jobs_,
-        JobManager::Open(store_->catalogue(),
-                         {.max_queued = options.max_queued_operations,
-                          .max_finished = options.max_finished_operations},
-                         [this](const std::string& map_id, const JobSpec& spec,
-                                const ExecutionContext& context) {
-                           return RunJob(map_id, spec, context);
-                         }));
+        jobs_, JobManager::Open(
+                   store_->catalogue(),
+                   {.max_queued = options.max_queued_operations,
+                    .max_finished = options.max_finished_operations},
+                   [this](const std::string& map_id, const JobSpec& spec,
+                          const ExecutionContext& context) {
+                     return RunJob(map_id, spec, context);
+                   },
+                   options.on_operation_end));
     return absl::OkStatus();
   }
 

@@ -47,6 +47,12 @@ struct EngineOptions {
   /// Newest revisions of each map that are kept; 0: all. Others expire soon
   /// after a commit, but for those that made the products of kept ones.
   int64_t kept_revision_count = 0;
+  /// Hear of what no caller may be there to be told of: operations that ran and
+  /// ended, and collections of garbage and expiries of revisions that failed,
+  /// which are tried again within the hour. Called from threads of the engine;
+  /// quick, and call no method of it. Nothing: nobody hears of them.
+  std::function<void(const Operation& operation)> on_operation_end;
+  std::function<void(const absl::Status& error)> on_collection_failure;
 
   /// kInvalidArgument, naming the field and its limits.
   absl::Status Validate() const;

@@ -509,9 +509,8 @@ absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
     store.uploads().Remove(upload_uid).IgnoreError();
     return report;
   }
-  const UploadState outcome = is_final
-                                  ? UploadState::kFailed
-                                  : UploadState::kActive;
+  const UploadState outcome =
+      is_final ? UploadState::kFailed : UploadState::kActive;
   // The first error counts; a state that could not be set is finalizing, from
   // which another attempt starts too.
   catalogue

@@ -45,10 +45,15 @@ class JobManager {
       const std::string& map_id, const JobSpec& spec,
       const ExecutionContext& context)>;
 
+  /// Hears of an operation that ran and ended. Called from the manager's
+  /// threads; quick, and calls no method of the manager.
+  using EndListener = std::function<void(const Operation& operation)>;
+
   /// Loads the operations of the catalogue, which outlives the manager, and
   /// begins to run those that are not done.
   static absl::StatusOr<std::unique_ptr<JobManager>> Open(
-      storage::Catalogue& catalogue, const JobLimits& limits, Runner runner);
+      storage::Catalogue& catalogue, const JobLimits& limits, Runner runner,
+      EndListener on_end = nullptr);
   ~JobManager();
   JobManager(const JobManager&) = delete;
   JobManager& operator=(const JobManager&) = delete;
@@ -95,7 +100,7 @@ class JobManager {
   struct Job;
 
   JobManager(storage::Catalogue& catalogue, const JobLimits& limits,
-             Runner runner);
+             Runner runner, EndListener on_end);
   absl::Status Load();
   /// `filters`: the lane of verbs that run the filter; else that of all others.
   /// Those of a lane share their memory.
@@ -118,6 +123,7 @@ class JobManager {
   storage::Catalogue& catalogue_;
   const JobLimits limits_;
   const Runner runner_;
+  const EndListener on_end_;
 
   // Orders the records of the catalogue; taken before mutex_, held while the
   // disk is waited for.
