@@ -5,6 +5,7 @@
 #include <atomic>
 #include <initializer_list>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <utility>
 
@@ -18,6 +19,7 @@
 #include "grpcpp/server_builder.h"
 #include "server/engine/engine.h"
 #include "server/rpc/admission.h"
+#include "server/rpc/convert.h"
 #include "server/rpc/map_service.h"
 #include "server/rpc/operations_service.h"
 #include "server/rpc/processing_service.h"
@@ -49,8 +51,11 @@ int ThreadCount(const ServerOptions& options) {
   return std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
 }
 
-void LogCall(spdlog::logger& logger, const char* method,
-             const absl::Status& status) {
+// `what`: a method, or work in the background, of which no caller may hear: its
+// errors are told from level `least` on.
+void LogEnd(spdlog::logger& logger, std::string_view what,
+            const absl::Status& status,
+            spdlog::level::level_enum least = spdlog::level::debug) {
   auto level = spdlog::level::debug;
   switch (status.code()) {
     case absl::StatusCode::kInternal:
@@ -64,7 +69,18 @@ void LogCall(spdlog::logger& logger, const char* method,
     default:
       break;
   }
-  logger.log(level, "{}: {}", method, status.ToString());
+  const bool is_failure = !status.ok() && !absl::IsCancelled(status);
+  logger.log(is_failure ? std::max(level, least) : level, "{}: {}", what,
+             status.ToString());
+}
+
+void LogOperation(spdlog::logger& logger, const engine::Operation& operation) {
+  v1::OperationMetadata metadata;
+  ToProto(operation).metadata().UnpackTo(&metadata);
+  LogEnd(logger,
+         absl::StrCat(metadata.verb(), " of ", metadata.target(),
+                      ", operation ", operation.operation_id),
+         operation.error, spdlog::level::warn);
 }
 
 class GrpcServer final : public Server {
@@ -77,7 +93,7 @@ class GrpcServer final : public Server {
         stream_workers_(std::max(kMinStreamWorkers, ThreadCount(options))),
         calls_{&unary_workers_, &stream_workers_, &opening_worker_, &admission_,
                [&logger](const char* method, const absl::Status& status) {
-                 LogCall(logger, method, status);
+                 LogEnd(logger, method, status);
                }},
         maps_(calls_, *engine_),
         uploads_(calls_, *engine_),
@@ -200,6 +216,15 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(
                        .worker_count = ThreadCount(options),
                        .file_system = file_system,
                        .kept_revision_count = options.kept_revision_count,
+                       .on_operation_end =
+                           [&logger](const engine::Operation& operation) {
+                             LogOperation(logger, operation);
+                           },
+                       .on_collection_failure =
+                           [&logger](const absl::Status& error) {
+                             LogEnd(logger, "collection of garbage", error,
+                                    spdlog::level::warn);
+                           },
                    }));
   auto server =
       std::make_unique<GrpcServer>(options, logger, std::move(engine));

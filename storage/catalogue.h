@@ -212,7 +212,8 @@ class Catalogue {
   virtual absl::StatusOr<UploadRecord> SetUploadState(
       const std::string& upload_uid, UploadState from, UploadState to,
       const std::string& report) = 0;
-  /// Forgets an upload; points that it brought stay. kNotFound.
+  /// Forgets an upload; points that it brought stay, and another upload of its
+  /// id is not taken for it. kNotFound.
   virtual absl::Status DeleteUpload(const std::string& upload_uid) = 0;
   /// Forgets uploads in state kActive or kFailed that nothing happened to since
   /// `idle_since`; returns how many.

@@ -76,6 +76,14 @@ absl::Status UpdateState(SqliteDatabase& database, const UploadRecord& upload) {
       .Run();
 }
 
+absl::Status RemoveUpload(SqliteDatabase& database,
+                          const std::string& upload_uid) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement remove,
+      database.Prepare("DELETE FROM uploads WHERE uid = ?"));
+  return remove.Bind(upload_uid).Run();
+}
+
 /// A time that the points of an upload were added to its map.
 struct Addition {
   /// 0: none.
@@ -127,7 +135,7 @@ absl::StatusOr<UploadRecord> CreateUpload(SqliteDatabase& database,
       MAPSIEVE_RETURN_IF_ERROR(UpdateState(database, *existing));
       return existing;
     }
-    MAPSIEVE_RETURN_IF_ERROR(DeleteUpload(database, existing->uid));
+    MAPSIEVE_RETURN_IF_ERROR(RemoveUpload(database, existing->uid));
   } else if (!absl::IsNotFound(existing.status())) {
     return existing;
   }
@@ -283,14 +291,15 @@ absl::Status FinalizeRestoredUploads(SqliteDatabase& database,
 
 absl::Status DeleteUpload(SqliteDatabase& database,
                           const std::string& upload_uid) {
-  {
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        SqliteStatement remove,
-        database.Prepare("DELETE FROM uploads WHERE uid = ?"));
-    MAPSIEVE_RETURN_IF_ERROR(remove.Bind(upload_uid).Run());
-  }
-  if (database.changed_row_count() == 0) return NoSuchUpload(upload_uid);
-  return absl::OkStatus();
+  MAPSIEVE_RETURN_IF_ERROR(GetUploadByUid(database, upload_uid).status());
+  // Another upload may get its id: that one was never added.
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      SqliteStatement forget,
+      database.Prepare(
+          "DELETE FROM upload_revisions WHERE (map_key, upload_id) = "
+          "(SELECT map_key, id FROM uploads WHERE uid = ?)"));
+  MAPSIEVE_RETURN_IF_ERROR(forget.Bind(upload_uid).Run());
+  return RemoveUpload(database, upload_uid);
 }
 
 absl::StatusOr<int64_t> DeleteIdleUploads(SqliteDatabase& database,

@@ -164,6 +164,13 @@ core::ColumnSpec FromProto(const v1::ColumnSpec& spec) {
 }
 
 absl::Status ToStatus(const grpc::Status& status) {
+  // The server's own errors have details.
+  if (status.error_code() == grpc::StatusCode::UNAVAILABLE &&
+      status.error_details().empty()) {
+    return absl::UnavailableError(absl::StrCat(
+        "the server cannot be reached, or went away: ", status.error_message(),
+        "; see that mapsieved runs there"));
+  }
   return {static_cast<absl::StatusCode>(status.error_code()),
           status.error_message()};
 }

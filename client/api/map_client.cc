@@ -65,6 +65,10 @@ struct MapClient::Connection {
         operations(v1::Operations::NewStub(channel)),
         queries(v1::QueryService::NewStub(channel)) {}
 
+  /// Creates an upload, or returns the one there is; one that failed begins
+  /// anew, since what the map refused it may take by now.
+  absl::StatusOr<v1::Upload> OpenUpload(const v1::CreateUploadRequest& request);
+
   /// Sends the bytes of `source` from `offset` on; `sent` receives how many.
   absl::Status Write(const std::string& upload_name, BlockSource& source,
                      int64_t offset, int64_t total,
@@ -145,6 +149,26 @@ absl::StatusOr<MapStats> MapClient::GetMapStats(const std::string& map_id) {
   return FromProto(stats);
 }
 
+absl::StatusOr<v1::Upload> MapClient::Connection::OpenUpload(
+    const v1::CreateUploadRequest& request) {
+  v1::Upload upload;
+  const auto create = [&] {
+    grpc::ClientContext context;
+    return ToStatus(uploads->CreateUpload(&context, request, &upload));
+  };
+  MAPSIEVE_RETURN_IF_ERROR(create());
+  if (upload.state() == v1::Upload::STATE_FAILED) {
+    grpc::ClientContext context;
+    v1::DeleteUploadRequest failed;
+    failed.set_name(upload.name());
+    google::protobuf::Empty empty;
+    MAPSIEVE_RETURN_IF_ERROR(
+        ToStatus(uploads->DeleteUpload(&context, failed, &empty)));
+    MAPSIEVE_RETURN_IF_ERROR(create());
+  }
+  return upload;
+}
+
 absl::Status MapClient::Connection::Write(const std::string& upload_name,
                                           BlockSource& source, int64_t offset,
                                           int64_t total,
@@ -217,35 +241,39 @@ absl::StatusOr<google::protobuf::Any> MapClient::Connection::Wait(
 absl::StatusOr<UploadReport> MapClient::Upload(const std::string& map_id,
                                                BlockSource& source,
                                                const ProgressCallback& progress,
-                                               const Region& region) {
+                                               const Region& region,
+                                               bool again) {
   v1::FinalizeUploadRequest finalize;
   SetRegion(region, finalize);
   const std::string region_bytes = finalize.SerializeAsString();
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, GetMap(map_id));
   KeptBlocks blocks(source);
   MAPSIEVE_ASSIGN_OR_RETURN(const Digest digest, DigestOf(blocks));
-  v1::Upload upload;
-  {
-    grpc::ClientContext context;
-    v1::CreateUploadRequest request;
-    request.set_parent(MapName(map_id));
-    // The same bytes for the same region of the same map are the same upload.
-    request.set_upload_id(
-        ContentHash(TextBytes(map.uid + digest.hash + region_bytes)));
-    request.mutable_upload()->set_expected_bytes(digest.bytes);
-    request.mutable_upload()->set_content_hash(digest.hash);
-    request.mutable_upload()->set_refused_non_finite_count(
-        digest.refused.non_finite);
-    request.mutable_upload()->set_refused_out_of_lattice_count(
-        digest.refused.out_of_lattice);
-    const UploadSource from = blocks.source();
-    v1::UploadSource& told = *request.mutable_upload()->mutable_source();
-    told.set_crs_wkt(from.crs_wkt);
-    told.set_frame_id(from.frame_id);
-    told.set_unit(from.unit);
-    told.set_coordinate_step(from.coordinate_step);
-    MAPSIEVE_RETURN_IF_ERROR(ToStatus(
-        connection_->uploads->CreateUpload(&context, request, &upload)));
+  v1::CreateUploadRequest request;
+  request.set_parent(MapName(map_id));
+  // The same bytes for the same region of the same map are the same upload.
+  request.set_upload_id(
+      ContentHash(TextBytes(map.uid + digest.hash + region_bytes)));
+  request.mutable_upload()->set_expected_bytes(digest.bytes);
+  request.mutable_upload()->set_content_hash(digest.hash);
+  request.mutable_upload()->set_refused_non_finite_count(
+      digest.refused.non_finite);
+  request.mutable_upload()->set_refused_out_of_lattice_count(
+      digest.refused.out_of_lattice);
+  const UploadSource from = blocks.source();
+  v1::UploadSource& told = *request.mutable_upload()->mutable_source();
+  told.set_crs_wkt(from.crs_wkt);
+  told.set_frame_id(from.frame_id);
+  told.set_unit(from.unit);
+  told.set_coordinate_step(from.coordinate_step);
+  MAPSIEVE_ASSIGN_OR_RETURN(v1::Upload upload,
+                            connection_->OpenUpload(request));
+  while (again && upload.state() == v1::Upload::STATE_FINALIZED) {
+    // The next one of these bytes is named after the last one: a call that
+    // breaks off is gone on with too.
+    request.set_upload_id(ContentHash(TextBytes(
+        absl::StrCat(request.upload_id(), " ", upload.report().revision()))));
+    MAPSIEVE_ASSIGN_OR_RETURN(upload, connection_->OpenUpload(request));
   }
   if (upload.state() == v1::Upload::STATE_FINALIZED) {
     UploadReport report = FromProto(upload.report());
@@ -402,6 +430,11 @@ absl::Status MapClient::CancelOperation(const std::string& operation_id) {
   google::protobuf::Empty empty;
   return ToStatus(
       connection_->operations->CancelOperation(&context, request, &empty));
+}
+
+absl::Status MapClient::WaitForOperation(const std::string& operation_id,
+                                         const ProgressCallback& progress) {
+  return connection_->Wait("operations/" + operation_id, progress).status();
 }
 
 absl::StatusOr<VerifyReport> MapClient::Verify(

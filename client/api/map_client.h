@@ -55,15 +55,18 @@ class MapClient {
   absl::StatusOr<MapStats> GetMapStats(const std::string& map_id);
 
   /// Adds the points of `source` to a map and returns when they are durable
-  /// parts of it. Resumes an upload of the same bytes that broke off; an upload
-  /// that was finished before adds nothing, unless a rollback took its points
-  /// out again. `progress` counts durable bytes. `region`: they take the place
-  /// of the raw points that the map has there, in one revision; to the map the
-  /// same points with another region are another upload.
+  /// parts of it. Resumes an upload of the same bytes that broke off, and tries
+  /// one that the map refused once more; an upload that was finished before
+  /// adds nothing, unless a rollback took its points out again. `progress`
+  /// counts durable bytes. `region`: they take the place of the raw points that
+  /// the map has there, in one revision; to the map the same points with
+  /// another region are another upload. `again`: the points are added whether
+  /// an upload of them was finished before or not.
   absl::StatusOr<UploadReport> Upload(const std::string& map_id,
                                       BlockSource& source,
                                       const ProgressCallback& progress = {},
-                                      const Region& region = {});
+                                      const Region& region = {},
+                                      bool again = false);
 
   /// Up to `max_count` revisions, newest first. kNotFound.
   absl::StatusOr<std::vector<RevisionInfo>> ListRevisions(
@@ -118,8 +121,14 @@ class MapClient {
   /// Waits for an operation that StartProcess started.
   absl::StatusOr<ProcessReport> WaitForProcess(
       const std::string& operation_id, const ProgressCallback& progress = {});
+  /// kNotFound; finished ones are forgotten in time.
   absl::StatusOr<OperationInfo> GetOperation(const std::string& operation_id);
+  /// Asks it to stop; OK if it is done. kNotFound.
   absl::Status CancelOperation(const std::string& operation_id);
+  /// Waits until an operation of any kind is done. Its error if it failed or
+  /// was cancelled; kNotFound. `progress` counts units of its own.
+  absl::Status WaitForOperation(const std::string& operation_id,
+                                const ProgressCallback& progress = {});
 
   /// Starts a query and returns when its header is there.
   absl::StatusOr<std::unique_ptr<QueryStream>> Query(const QuerySpec& spec);

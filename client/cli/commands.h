@@ -48,11 +48,20 @@ struct ProcessCommand {
 absl::Status RunProcess(const CommonOptions& common,
                         const ProcessCommand& command);
 
+struct OperationCommand {
+  std::string operation;
+  bool cancel = false;
+};
+/// Waits until the operation is done, and returns its error if it failed.
+absl::Status RunOperation(const CommonOptions& common,
+                          const OperationCommand& command);
+
 struct UploadCommand {
   std::string map;
   std::vector<std::string> files;
   std::vector<std::string> column_names;
   bool process = false;
+  bool again = false;
 };
 absl::Status RunUpload(const CommonOptions& common,
                        const UploadCommand& command);

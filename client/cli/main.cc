@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <functional>
@@ -10,6 +11,7 @@
 
 #include "CLI/CLI.hpp"
 #include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "client/cli/commands.h"
 #include "client/lab/surveyed_pair.h"
@@ -41,6 +43,20 @@ void AddFilterOptions(CLI::App& command, Options& options) {
   add("--outlier-share", options.outlier_share,
       "Share of a label's largest confidence below which a point is an "
       "outlier, default 0.1");
+}
+
+/// Of a finite number above 0.
+CLI::Validator Positive() {
+  return CLI::Validator(
+      [](const std::string& text) {
+        double value = 0;
+        if (CLI::detail::lexical_cast(text, value) && value > 0 &&
+            std::isfinite(value)) {
+          return std::string();
+        }
+        return absl::StrCat("expected a number above 0, have ", text);
+      },
+      "POSITIVE");
 }
 
 void AddColumnsOption(CLI::App& command, std::vector<std::string>& names) {
@@ -91,6 +107,14 @@ void AddCreate(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+void AddUploadOptions(CLI::App& command, UploadCommand& options) {
+  command.add_flag("--process", options.process, "Run the filter after it");
+  command.add_flag("--again", options.again,
+                   "Add the points although they were uploaded before, for "
+                   "instance after they were deleted");
+  AddColumnsOption(command, options.column_names);
+}
+
 void AddUpload(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<UploadCommand>();
   CLI::App* command = app.add_subcommand(
@@ -98,8 +122,7 @@ void AddUpload(CLI::App& app, const CommonOptions& common, Run& run) {
   command->add_option("MAP", options->map, "Id of the map")->required();
   command->add_option("FILE", options->files, "LAS, PCD, PLY, CSV, XYZ, VTK")
       ->required();
-  command->add_flag("--process", options->process, "Run the filter after it");
-  AddColumnsOption(*command, options->column_names);
+  AddUploadOptions(*command, *options);
   command->callback([=, &common, &run] {
     run = [=, &common] { return RunUpload(common, *options); };
   });
@@ -159,9 +182,7 @@ void AddReplaceRegion(CLI::App& app, const CommonOptions& common, Run& run) {
                    "LAS, PCD, PLY, CSV, XYZ, VTK")
       ->required();
   region->AddTo(*command);
-  command->add_flag("--process", options->upload.process,
-                    "Run the filter after it");
-  AddColumnsOption(*command, options->upload.column_names);
+  AddUploadOptions(*command, options->upload);
   command->callback([=, &common, &run] {
     options->region = region->region();
     run = [=, &common] { return RunReplaceRegion(common, *options); };
@@ -317,12 +338,12 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   CLI::Option* budget_option = command->add_option(
       "--max-points", options->spec.max_point_count,
       "At most this many points, spread evenly over each label");
-  budget_option->check(CLI::PositiveNumber);
+  budget_option->check(Positive());
   CLI::Option* bytes_option = command->add_option(
       "--max-bytes", options->spec.max_bytes,
       "At most this many bytes of encoded points, spread in the same way; at "
       "least 65536");
-  bytes_option->check(CLI::PositiveNumber);
+  bytes_option->check(Positive());
   command
       ->add_option("--weights", options->weights,
                    "Shares of the budget of junction, curve and surface, for "
@@ -340,7 +361,7 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
       "--spacing", options->spec.spacing_m,
       "The coarsest level of detail whose points on surfaces have at most this "
       "mean spacing, in map units: rho 2^level sqrt(pi / neighbors)");
-  spacing_option->check(CLI::PositiveNumber)->excludes(depth_option);
+  spacing_option->check(Positive())->excludes(depth_option);
   command->add_flag("--raw", options->spec.raw, "The points as uploaded")
       ->excludes(label_option)
       ->excludes(confidence_option)
@@ -409,7 +430,7 @@ void AddExport(CLI::App& app, const CommonOptions& common, Run& run) {
                    "Edge of a voxel in map units; one that holds a point is "
                    "occupied, the others are unknown")
       ->required()
-      ->check(CLI::PositiveNumber);
+      ->check(Positive());
   AddOriginOption(*command, *origin,
                   "x y z in map units that become 0 0 0, which is at most 2^15 "
                   "voxels from any point");
@@ -478,6 +499,21 @@ void AddMapCommands(CLI::App& app, const CommonOptions& common, Run& run) {
   });
 }
 
+void AddOperation(CLI::App& app, const CommonOptions& common, Run& run) {
+  auto options = std::make_shared<OperationCommand>();
+  CLI::App* command = app.add_subcommand(
+      "operation",
+      "Wait for the end of what a map is busy with, as process --no-wait names "
+      "it, or end it");
+  command->add_option("OPERATION", options->operation, "Id of the operation")
+      ->required();
+  command->add_flag("--cancel", options->cancel,
+                    "Stop it; the map stays as it was, unless it is done");
+  command->callback([=, &common, &run] {
+    run = [=, &common] { return RunOperation(common, *options); };
+  });
+}
+
 /// The parameters of the methods of `sample`, one of which `max_points` finds.
 void AddSamplerOptions(CLI::App& command, core::SamplerOptions& sampler) {
   std::map<std::string, core::SampleMethod> methods;
@@ -490,7 +526,7 @@ void AddSamplerOptions(CLI::App& command, core::SamplerOptions& sampler) {
                   "Points wanted: exactly so many or all, of voxel and spdf "
                   "the nearest count below; in place of the parameter. "
                   "Needed by nss, covs and spatial-spdf")
-      ->check(CLI::PositiveNumber);
+      ->check(Positive());
   command.add_option("--keep-probability", sampler.keep_probability,
                      "Of random, up to 1");
   command.add_option("--max-density", sampler.max_density,
@@ -828,6 +864,7 @@ int Main(int argc, char** argv) {
   AddReplaceRegion(app, common, run);
   AddRevisionCommands(app, common, run);
   AddVerify(app, common, run);
+  AddOperation(app, common, run);
   AddMapCommands(app, common, run);
   AddSample(app, common, run);
   AddConvert(app, common, run);

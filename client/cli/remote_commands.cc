@@ -202,7 +202,7 @@ std::string WhatToDo(const VerifyCommand& command, const VerifyReport& report) {
     return absl::StrCat(
         "of these, raw: ", raw_count,
         ": restore their blobs from a backup, or delete their regions and "
-        "upload the scans again");
+        "upload the scans with --again");
   }
   if (!command.repair) return "verify with --repair makes them again";
   return "restore their blobs from a backup";
@@ -264,7 +264,7 @@ absl::Status RunUpload(const CommonOptions& common,
     absl::StatusOr<UploadReport> report;
     {
       ProgressBar bar("upload " + file, "B");
-      report = client.Upload(command.map, blocks, Show(bar));
+      report = client.Upload(command.map, blocks, Show(bar), {}, command.again);
     }
     if (!report.ok()) return Annotate(report.status(), file);
     Json result = {{"file", file}};
@@ -386,7 +386,8 @@ absl::Status RunReplaceRegion(const CommonOptions& common,
   absl::StatusOr<UploadReport> report;
   {
     ProgressBar bar("replace-region " + upload.map, "B");
-    report = client.Upload(upload.map, blocks, Show(bar), command.region);
+    report = client.Upload(upload.map, blocks, Show(bar), command.region,
+                           upload.again);
   }
   MAPSIEVE_RETURN_IF_ERROR(report.status());
   for (const std::string& what : blocks.differences()) {

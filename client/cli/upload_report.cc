@@ -79,8 +79,8 @@ std::string UploadText(const std::string& title, const UploadReport& report,
                        double step) {
   std::string text = absl::StrCat(title, ": ");
   if (report.already_there) {
-    absl::StrAppend(&text, "already in the map, since revision ",
-                    report.revision, "; nothing was added\n");
+    absl::StrAppend(&text, "uploaded before, as revision ", report.revision,
+                    "; nothing was added (--again adds it once more)\n");
   } else {
     absl::StrAppend(&text, report.added_point_count, " points added, in ",
                     report.tile_count, " tiles, as revision ", report.revision,

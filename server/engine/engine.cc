@@ -107,16 +107,18 @@ class LocalEngine final : public Engine {
                     file_system, options.data_dir,
                     {.kept_revision_count = options.kept_revision_count}));
     MAPSIEVE_RETURN_IF_ERROR(RemoveStaleRuns());
-    garbage_ = std::make_unique<GarbageCollector>(*store_);
+    garbage_ = std::make_unique<GarbageCollector>(
+        *store_, options.on_collection_failure);
     MAPSIEVE_ASSIGN_OR_RETURN(
-        jobs_,
-        JobManager::Open(store_->catalogue(),
-                         {.max_queued = options.max_queued_operations,
-                          .max_finished = options.max_finished_operations},
-                         [this](const std::string& map_id, const JobSpec& spec,
-                                const ExecutionContext& context) {
-                           return RunJob(map_id, spec, context);
-                         }));
+        jobs_, JobManager::Open(
+                   store_->catalogue(),
+                   {.max_queued = options.max_queued_operations,
+                    .max_finished = options.max_finished_operations},
+                   [this](const std::string& map_id, const JobSpec& spec,
+                          const ExecutionContext& context) {
+                     return RunJob(map_id, spec, context);
+                   },
+                   options.on_operation_end));
     return absl::OkStatus();
   }
 
@@ -327,7 +329,8 @@ class LocalEngine final : public Engine {
                                  {.id = spec.upload_id,
                                   .expected_bytes = spec.expected_bytes,
                                   .content_hash = spec.content_hash}));
-    if (record.report.empty()) {
+    if (record.report.empty() &&
+        record.state == storage::UploadState::kActive) {
       MAPSIEVE_ASSIGN_OR_RETURN(
           record,
           catalogue().SetUploadState(
@@ -410,8 +413,7 @@ class LocalEngine final : public Engine {
                           .upload_uid = upload.uid,
                           .region = region};
     if (upload.state == storage::UploadState::kFinalized) {
-      MAPSIEVE_ASSIGN_OR_RETURN(const UploadNotes notes,
-                                ParseUploadNotes(upload.report));
+      MAPSIEVE_ASSIGN_OR_RETURN(const UploadNotes notes, NotesOf(upload));
       return jobs_->RecordSuccess(map_id, spec, notes.report);
     }
     MAPSIEVE_RETURN_IF_ERROR(CheckComplete(upload));

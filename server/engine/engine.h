@@ -47,6 +47,12 @@ struct EngineOptions {
   /// Newest revisions of each map that are kept; 0: all. Others expire soon
   /// after a commit, but for those that made the products of kept ones.
   int64_t kept_revision_count = 0;
+  /// Hear of what no caller may be there to be told of: operations that ran and
+  /// ended, and collections of garbage and expiries of revisions that failed,
+  /// which are tried again within the hour. Called from threads of the engine;
+  /// quick, and call no method of it. Nothing: nobody hears of them.
+  std::function<void(const Operation& operation)> on_operation_end;
+  std::function<void(const absl::Status& error)> on_collection_failure;
 
   /// kInvalidArgument, naming the field and its limits.
   absl::Status Validate() const;
@@ -193,7 +199,8 @@ class Engine {
   /// (with its offset); kInvalidArgument: a block with another step than the
   /// map's, an attribute with another type than the map's (both are named), too
   /// many attributes, too large a block — the upload is then kFailed;
-  /// kResourceExhausted, kUnavailable, kInternal, kCancelled: it is kActive
+  /// kDataLoss: a chunk of the map that `region` cuts is damaged;
+  /// kResourceExhausted, kUnavailable, kInternal, kCancelled — it is kActive
   /// again. The map is as before in every case.
   virtual absl::StatusOr<Operation> FinalizeUpload(
       const std::string& map_id, const std::string& upload_id,

@@ -11,8 +11,11 @@ constexpr std::chrono::hours kInterval(1);
 
 }  // namespace
 
-GarbageCollector::GarbageCollector(storage::Store& store)
-    : store_(store), thread_([this] { Run(); }) {}
+GarbageCollector::GarbageCollector(storage::Store& store,
+                                   FailureListener on_failure)
+    : store_(store),
+      on_failure_(std::move(on_failure)),
+      thread_([this] { Run(); }) {}
 
 GarbageCollector::~GarbageCollector() { Stop(); }
 
@@ -53,11 +56,15 @@ void GarbageCollector::Run() {
       work = std::exchange(requested_, Work::kNone);
     }
     // What could not be removed now is tried again at the next collection.
+    absl::Status done;
     if (work == Work::kExpiry) {
-      store_.ExpireRevisions(stop).status().IgnoreError();
+      done = store_.ExpireRevisions(stop).status();
     } else {
-      store_.CollectGarbage(stop).status().IgnoreError();
+      done = store_.CollectGarbage(stop).status();
       wake = std::chrono::steady_clock::now() + kInterval;
+    }
+    if (!done.ok() && !absl::IsCancelled(done) && on_failure_) {
+      on_failure_(done);
     }
   }
 }

@@ -1,9 +1,11 @@
 #ifndef MAPSIEVE_SERVER_ENGINE_GARBAGE_COLLECTOR_H_
 #define MAPSIEVE_SERVER_ENGINE_GARBAGE_COLLECTOR_H_
 
+#include <functional>
 #include <stop_token>
 #include <thread>
 
+#include "absl/status/status.h"
 #include "core/base/mutex.h"
 #include "storage/store.h"
 
@@ -14,8 +16,12 @@ namespace mapsieve::engine {
 /// Store::ExpireRevisions when asked to. Thread-safe.
 class GarbageCollector {
  public:
-  /// `store` outlives the collector.
-  explicit GarbageCollector(storage::Store& store);
+  using FailureListener = std::function<void(const absl::Status& error)>;
+
+  /// `store` outlives the collector. `on_failure` hears of each failure, on the
+  /// collector's thread; null: nobody does.
+  explicit GarbageCollector(storage::Store& store,
+                            FailureListener on_failure = nullptr);
   ~GarbageCollector();
   GarbageCollector(const GarbageCollector&) = delete;
   GarbageCollector& operator=(const GarbageCollector&) = delete;
@@ -34,6 +40,7 @@ class GarbageCollector {
   void Run();
 
   storage::Store& store_;
+  const FailureListener on_failure_;
   std::stop_source stop_;
   Mutex mutex_;
   ConditionVariable changed_;

@@ -20,7 +20,6 @@
 #include "server/engine/attribute_schema.h"
 #include "server/engine/chunk_writer.h"
 #include "server/engine/edit_map.h"
-#include "server/engine/opaque_records.h"
 #include "server/engine/point_census.h"
 #include "server/engine/upload_warnings.h"
 
@@ -356,18 +355,25 @@ absl::StatusOr<std::shared_ptr<const storage::ReadSnapshot>> OpenNewest(
   return opened;
 }
 
-/// The notes of an upload; those of none where a crash came before them.
-absl::StatusOr<UploadNotes> NotesOf(const storage::UploadRecord& upload) {
-  if (upload.report.empty()) return UploadNotes();
-  return ParseUploadNotes(upload.report);
+/// Whether an error of the bytes of an upload stays, however often they are
+/// read.
+bool IsFinal(const absl::Status& status) {
+  return absl::IsInvalidArgument(status) || absl::IsDataLoss(status);
 }
 
+/// `is_final`: set if the bytes of the upload are to blame for the error, so
+/// that they can never become points of this map. Damage of the map is no such.
 absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
                                        const std::string& map_id,
                                        const storage::UploadRecord& upload,
                                        const std::optional<RegionShape>& region,
                                        const IngestLimits& limits,
-                                       const ExecutionContext& context) {
+                                       const ExecutionContext& context,
+                                       bool& is_final) {
+  const auto of_bytes = [&is_final](const absl::Status& status) {
+    is_final = IsFinal(status);
+    return status;
+  };
   MAPSIEVE_ASSIGN_OR_RETURN(storage::MapRecord map,
                             store.catalogue().GetMap(map_id));
   if (map.uid != upload.map_uid) {
@@ -379,8 +385,8 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
         "upload ", upload.spec.id, " has ", upload.committed_bytes, " of ",
         upload.spec.expected_bytes.value_or(0), " bytes; send the rest"));
   }
-  MAPSIEVE_ASSIGN_OR_RETURN(const auto reader,
-                            store.uploads().OpenReader(upload.uid));
+  const auto reader = store.uploads().OpenReader(upload.uid);
+  MAPSIEVE_RETURN_IF_ERROR(of_bytes(reader.status()));
   MAPSIEVE_ASSIGN_OR_RETURN(UploadNotes notes, NotesOf(upload));
   const core::RefusedCounts refused = notes.report.refused;
   // The bytes of the upload are the progress.
@@ -389,7 +395,7 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
   Ingest ingest(store, map, upload, limits, context);
   MAPSIEVE_ASSIGN_OR_RETURN(AttributeSchema schema,
                             AttributeSchema::Of(store.catalogue(), map));
-  MAPSIEVE_RETURN_IF_ERROR(ingest.Run(*reader, schema));
+  MAPSIEVE_RETURN_IF_ERROR(of_bytes(ingest.Run(**reader, schema)));
   for (bool is_first = true;; is_first = false) {
     MAPSIEVE_RETURN_IF_ERROR(context.CheckStop());
     if (!is_first) {
@@ -397,7 +403,7 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
       MAPSIEVE_ASSIGN_OR_RETURN(map, store.catalogue().GetMap(map_id));
       MAPSIEVE_ASSIGN_OR_RETURN(AttributeSchema newer,
                                 AttributeSchema::Of(store.catalogue(), map));
-      MAPSIEVE_RETURN_IF_ERROR(newer.Add(schema.columns()));
+      MAPSIEVE_RETURN_IF_ERROR(of_bytes(newer.Add(schema.columns())));
       schema = std::move(newer);
     }
     const auto opened = OpenNewest(store, map);
@@ -452,11 +458,6 @@ absl::StatusOr<UploadReport> AddPoints(storage::Store& store,
   }
 }
 
-/// Whether the same bytes can never become points of the same map.
-bool IsFinal(const absl::Status& status) {
-  return absl::IsInvalidArgument(status) || absl::IsDataLoss(status);
-}
-
 }  // namespace
 
 IngestLimits IngestLimits::Of(int64_t memory_bytes) {
@@ -464,6 +465,11 @@ IngestLimits IngestLimits::Of(int64_t memory_bytes) {
           .bucket_bytes = memory_bytes / 2,
           .chunk_bytes = std::min(memory_bytes / 32, int64_t{16} << 20),
           .chunk_count = memory_bytes / 512};
+}
+
+absl::StatusOr<UploadNotes> NotesOf(const storage::UploadRecord& upload) {
+  if (upload.report.empty()) return UploadNotes();
+  return ParseUploadNotes(upload.report);
 }
 
 absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
@@ -495,15 +501,16 @@ absl::StatusOr<UploadReport> AddUpload(storage::Store& store,
     case UploadState::kFinalizing:
       break;
   }
+  bool is_final = false;
   absl::StatusOr<UploadReport> report =
-      AddPoints(store, map_id, upload, region, limits, context);
+      AddPoints(store, map_id, upload, region, limits, context, is_final);
   if (report.ok()) {
     // What stays behind is collected as garbage.
     store.uploads().Remove(upload_uid).IgnoreError();
     return report;
   }
   const UploadState outcome =
-      IsFinal(report.status()) ? UploadState::kFailed : UploadState::kActive;
+      is_final ? UploadState::kFailed : UploadState::kActive;
   // The first error counts; a state that could not be set is finalizing, from
   // which another attempt starts too.
   catalogue

@@ -7,6 +7,7 @@
 
 #include "absl/status/statusor.h"
 #include "core/base/executor.h"
+#include "server/engine/opaque_records.h"
 #include "server/engine/region.h"
 #include "server/engine/types.h"
 #include "storage/store.h"
@@ -26,6 +27,10 @@ struct IngestLimits {
 
   static IngestLimits Of(int64_t memory_bytes);
 };
+
+/// The notes of an upload; those of none where a crash came before them, or
+/// where an earlier version of the service kept none.
+absl::StatusOr<UploadNotes> NotesOf(const storage::UploadRecord& upload);
 
 /// Adds the points of a complete upload to its map, named `map_id`, as one new
 /// revision, and marks the upload finalized in the same transaction; then drops

@@ -210,13 +210,17 @@ struct JobManager::Job {
 };
 
 JobManager::JobManager(storage::Catalogue& catalogue, const JobLimits& limits,
-                       Runner runner)
-    : catalogue_(catalogue), limits_(limits), runner_(std::move(runner)) {}
+                       Runner runner, EndListener on_end)
+    : catalogue_(catalogue),
+      limits_(limits),
+      runner_(std::move(runner)),
+      on_end_(std::move(on_end)) {}
 
 absl::StatusOr<std::unique_ptr<JobManager>> JobManager::Open(
-    storage::Catalogue& catalogue, const JobLimits& limits, Runner runner) {
+    storage::Catalogue& catalogue, const JobLimits& limits, Runner runner,
+    EndListener on_end) {
   std::unique_ptr<JobManager> manager(
-      new JobManager(catalogue, limits, std::move(runner)));
+      new JobManager(catalogue, limits, std::move(runner), std::move(on_end)));
   MAPSIEVE_RETURN_IF_ERROR(manager->Load());
   for (const bool filters : {false, true}) {
     manager->lanes_.emplace_back(
@@ -240,8 +244,9 @@ absl::Status JobManager::Load() {
     for (const storage::OperationRecord& record : page) {
       std::shared_ptr<Job> job = Job::FromRecord(record);
       Operation& operation = job->operation;
+      // It may have done its work before the process ended: its runner tells.
       if (!operation.done() && operation.cancel_requested) {
-        job->MarkCancelled(operation);
+        job->stop.request_stop();
       }
       if (operation.done() && !storage::IsDone(record.state)) {
         MAPSIEVE_RETURN_IF_ERROR(
@@ -364,6 +369,7 @@ void JobManager::Finish(const std::shared_ptr<Job>& job,
     // What the operation did is recorded with the map; without this record it
     // is run again after a restart and finds that.
     catalogue_.UpdateOperation(job->ToRecord(operation)).IgnoreError();
+    if (on_end_) on_end_(operation);
     {
       MutexLock lock(mutex_);
       job->operation = std::move(operation);

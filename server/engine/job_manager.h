@@ -33,8 +33,9 @@ struct JobLimits {
 /// Runs operations: one that filters and one that changes points at a time,
 /// each kind in the order of creation, but never two on one map. They are
 /// recorded in the catalogue, so that those that are not done when the process
-/// ends are run again by the next manager: what runs them must be idempotent.
-/// Thread-safe.
+/// ends are run again by the next manager, with a stop request if they were to
+/// be cancelled: what runs them must be idempotent, and find what it did before
+/// it looks for a stop. Thread-safe.
 class JobManager {
  public:
   /// Does the work of an operation on the map `map_id`: gets the executor and
@@ -44,10 +45,15 @@ class JobManager {
       const std::string& map_id, const JobSpec& spec,
       const ExecutionContext& context)>;
 
+  /// Hears of an operation that ran and ended. Called from the manager's
+  /// threads; quick, and calls no method of the manager.
+  using EndListener = std::function<void(const Operation& operation)>;
+
   /// Loads the operations of the catalogue, which outlives the manager, and
   /// begins to run those that are not done.
   static absl::StatusOr<std::unique_ptr<JobManager>> Open(
-      storage::Catalogue& catalogue, const JobLimits& limits, Runner runner);
+      storage::Catalogue& catalogue, const JobLimits& limits, Runner runner,
+      EndListener on_end = nullptr);
   ~JobManager();
   JobManager(const JobManager&) = delete;
   JobManager& operator=(const JobManager&) = delete;
@@ -94,7 +100,7 @@ class JobManager {
   struct Job;
 
   JobManager(storage::Catalogue& catalogue, const JobLimits& limits,
-             Runner runner);
+             Runner runner, EndListener on_end);
   absl::Status Load();
   /// `filters`: the lane of verbs that run the filter; else that of all others.
   /// Those of a lane share their memory.
@@ -117,6 +123,7 @@ class JobManager {
   storage::Catalogue& catalogue_;
   const JobLimits limits_;
   const Runner runner_;
+  const EndListener on_end_;
 
   // Orders the records of the catalogue; taken before mutex_, held while the
   // disk is waited for.

@@ -9,7 +9,7 @@ import signal
 import sys
 import unittest
 
-from programs import ServedTest, mapsieve
+from programs import ServedTest, mapsieve, run_command
 
 STEP = 0.001
 
@@ -152,6 +152,64 @@ class Edits(ServedTest):
         self.assertEqual(half["removed_point_count"], len(inside))
         self.assertEqual(half["added_point_count"], len(inside[::2]))
 
+    def test_deleted_points_come_again_when_asked_for(self):
+        inside = [p for p in self.points if self.is_inside(p)]
+        self.make_map("returning", inside)
+        path = self.work / "returning.csv"
+        raw = self.answer("returning", "--raw")
+        self.mapsieve("delete-region", "returning", *self.sphere)
+        for flags, count in (((), 0), (("--again",), len(inside)), ((), 0)):
+            report, = self.mapsieve("upload", "returning", path,
+                                    *flags)["files"]
+            self.assertEqual(report["already_there"], count == 0)
+            self.assertEqual(report["added_point_count"], count)
+        self.assertEqual(self.answer("returning", "--raw"), raw)
+        for flags, already_there in (((), False), ((), True),
+                                     (("--again",), False)):
+            report = self.mapsieve("replace-region", "returning", path,
+                                   *self.sphere, *flags)
+            self.assertEqual(report["already_there"], already_there)
+            self.assertEqual(report["removed_point_count"],
+                             0 if already_there else len(inside))
+        self.assertEqual(self.answer("returning", "--raw"), raw)
+
+    def test_what_the_map_refused_can_be_tried_again(self):
+        self.mapsieve("create", "strict")
+        files = []
+        for scalar in ("uchar", "float"):
+            files.append(self.work / f"{scalar}.ply")
+            files[-1].write_text("\n".join([
+                "ply", "format ascii 1.0", "element vertex 1",
+                *(f"property double {axis}" for axis in "xyz"),
+                f"property {scalar} gain", "end_header", "1 2 3 4", ""]))
+        self.mapsieve("upload", "strict", files[0])
+        for _ in range(2):
+            self.fails("upload", "strict", files[1],
+                       message='"gain" is float32 here and uint8 in the map')
+        self.mapsieve("rollback", "strict", "--to", 1)
+        report, = self.mapsieve("upload", "strict", files[1])["files"]
+        self.assertEqual(report["added_point_count"], 1)
+
+    def test_an_operation_is_waited_for_or_cancelled(self):
+        self.mapsieve("create", "busy")
+        self.mapsieve("upload", "busy", self.source)
+        first = self.mapsieve("process", "busy", "--no-wait")["operation"]
+        ended = self.mapsieve("operation", first)
+        self.assertEqual(ended, {"operation": first, "verb": "ProcessMap",
+                                 "target": "maps/busy", "state": "succeeded"})
+        before = self.mapsieve("info", "busy")["processed_revision"]
+        self.assertGreater(before, 0)
+        # What is done stays so.
+        self.assertEqual(self.mapsieve("operation", first, "--cancel"), ended)
+        second = self.mapsieve("process", "busy", "--rho", 0.3,
+                               "--no-wait")["operation"]
+        state = self.mapsieve("operation", second, "--cancel")["state"]
+        after = self.mapsieve("info", "busy")["processed_revision"]
+        self.assertEqual(after == before, state == "cancelled")
+        if state == "cancelled":
+            self.fails("operation", second, message="cancelled by request")
+        self.fails("operation", "none", message='no operation "none"')
+
     def test_refusals(self):
         self.mapsieve("create", "refusing")
         for command in (("delete-region", "refusing"),
@@ -168,6 +226,11 @@ class Edits(ServedTest):
                    message="nosuchmap")
         self.fails("rollback", "refusing", "--to", 2, message="1 to 1")
         self.fails("revisions", "refusing", "--compare", 1, 7, message="7")
+        self.fails("query", "refusing", "--max-points", 0, "-o", "x.ply",
+                   status=2, message="expected a number above 0, have 0")
+        result = run_command("--server", "127.0.0.1:1", "list")
+        self.assertEqual(result.returncode, 1)
+        self.assertIn("see that mapsieved runs there", result.stderr)
         absent = self.work / "absent.las"
         self.fails("replace-region", "refusing", *self.sphere, absent,
                    message="absent.las")

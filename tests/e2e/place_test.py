@@ -201,7 +201,7 @@ class Place(ServedTest):
             "  density     cells of 1.024 by points: 1: 1, 2-3: 1",
             "  bounds      (5, 0, 0) to (6, 0, 0)"])
         again = self.server.run_command("upload", "dense", second).stdout
-        self.assertIn("already in the map, since revision 3", again)
+        self.assertIn("uploaded before, as revision 3; nothing was added", again)
         nothing = self.write("nothing.csv", "x,y,z\nnan,0,0\n1e30,0,0\n")
         report, codes = self.upload("dense", nothing)
         self.assertEqual(codes, [])

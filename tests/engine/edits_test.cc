@@ -321,6 +321,34 @@ TEST(ReplaceRegion, OnceHoweverOftenItIsAskedFor) {
                   InCanonicalOrder(Together(Without(scene, kBox), news)));
 }
 
+TEST(ReplaceRegion, DamageOfTheMapIsNotThatOfTheUpload) {
+  const LatticeCloud scene = MakeScene(65);
+  Workshop workshop(12);
+  MAPSIEVE_ASSERT_OK(workshop.Add(scene, kLimits));
+  const auto chunks = workshop.Chunks(ChunkKind::kRaw);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Region region,
+                                Region::OfEdit(kSphere, scene.lattice));
+  const auto cut =
+      std::find_if(chunks.begin(), chunks.end(), [&](const auto& chunk) {
+        return region.Intersects(chunk.bounds) &&
+               !region.Encloses(chunk.bounds);
+      });
+  ASSERT_NE(cut, chunks.end());
+  workshop.DamageBlob(cut->blob_id);
+  const LatticeCloud news = Split(MakeScene(66), 5)[0];
+  EXPECT_THAT(workshop.Add(news, kLimits, kSphere),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr(cut->blob_id)));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const auto upload,
+      workshop.store().catalogue().GetUpload(workshop.map().uid, "upload-1"));
+  EXPECT_EQ(upload.state, storage::UploadState::kActive);
+  // It is added once the damage is gone.
+  workshop.DamageBlob(cut->blob_id);
+  MAPSIEVE_ASSERT_OK(
+      AddUpload(workshop.store(), "map", upload.uid, kSphere, kLimits, {}));
+  ExpectRaw(workshop, Together(Without(scene, kSphere), news));
+}
+
 /// All that a query of a revision says, but for the number of the revision.
 void ExpectSameAnswers(Service& service, int64_t actual, int64_t expected) {
   for (QuerySpec spec :

@@ -148,6 +148,33 @@ std::string Expected(const std::string& told, const std::string& after) {
          after;
 }
 
+/// A service of the store that was left in `folder`.
+void OpenGolden(const fs::path& folder, Service& service) {
+  service.Close();
+  fs::remove_all(service.options().data_dir);
+  fs::copy(folder / "data", service.options().data_dir,
+           fs::copy_options::recursive);
+  service.Reopen();
+}
+
+// Version 3 kept no report for an upload that a rollback brings back.
+TEST(GoldenStore, AnUploadOfItComesBackByARollback) {
+  Service service(1);
+  OpenGolden(fs::path(MAPSIEVE_GOLDEN_STORES) / "v3", service);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const UploadInfo two,
+                                service->GetUpload("yard", "two"));
+  MAPSIEVE_ASSERT_OK(service->RollBack("yard", 3));
+  EXPECT_EQ(service->CreateUpload("yard", two.spec)->state,
+            UploadState::kActive);
+  MAPSIEVE_ASSERT_OK(service->RollBack("yard", 5));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const UploadInfo back,
+                                service->CreateUpload("yard", two.spec));
+  EXPECT_EQ(back.state, UploadState::kFinalized);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Operation told,
+                                service.Finalize("yard", "two"));
+  EXPECT_EQ(told.state, OperationState::kSucceeded);
+}
+
 TEST(GoldenStore, OfEveryVersionIsReadAsItWasWritten) {
   int version_count = 0;
   for (const auto& entry : fs::directory_iterator(MAPSIEVE_GOLDEN_STORES)) {
@@ -155,11 +182,7 @@ TEST(GoldenStore, OfEveryVersionIsReadAsItWasWritten) {
     SCOPED_TRACE(entry.path().string());
     ++version_count;
     Service service(1);
-    service.Close();
-    fs::remove_all(service.options().data_dir);
-    fs::copy(entry.path() / "data", service.options().data_dir,
-             fs::copy_options::recursive);
-    service.Reopen();
+    OpenGolden(entry.path(), service);
     const std::string told = Describe(service);
     EXPECT_EQ(Expected(told, GoOn(service)),
               storage::ReadWholeFile(entry.path() / "expected.txt"));

@@ -1,5 +1,8 @@
 #include <algorithm>
+#include <chrono>
 #include <cmath>
+#include <filesystem>
+#include <future>
 #include <string>
 #include <vector>
 
@@ -34,6 +37,24 @@ TEST(Engine, OneAtATimeHasADirectory) {
   Service service;
   EXPECT_THAT(Engine::Open(service.options()),
               StatusIs(absl::StatusCode::kAborted, HasSubstr("")));
+}
+
+TEST(Engine, TellsThatACollectionFailed) {
+  std::promise<absl::Status> failed;
+  std::future<absl::Status> told = failed.get_future();
+  Service service;
+  service.Close();
+  service.options().on_collection_failure = [&](const absl::Status& error) {
+    failed.set_value(error);
+  };
+  // Of the name of a blob, but nothing that can be removed as one.
+  const std::string blob =
+      service.options().data_dir + "/blobs/00/" + std::string(32, '0');
+  std::filesystem::create_directories(blob);
+  service.Reopen();
+  ASSERT_EQ(told.wait_for(std::chrono::minutes(1)), std::future_status::ready);
+  EXPECT_THAT(told.get(),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr(blob)));
 }
 
 TEST(Maps, CreateFillsInDefaultsAndRoundsTheTileUp) {

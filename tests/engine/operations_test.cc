@@ -243,6 +243,37 @@ TEST_F(JobManagerTest, WhatARestartInterruptsIsRunAgain) {
   }
 }
 
+TEST_F(JobManagerTest, WhatWasToBeCancelledTellsWhatItHadDone) {
+  const auto record = [&](const std::string& id) {
+    auto operation = store_->catalogue().CreateOperation(
+        {.id = id,
+         .target = "maps/map-a",
+         .verb = "FinalizeUpload",
+         .request = FormatJobSpec(Finalize("a", id))});
+    ASSERT_TRUE(operation.ok()) << operation.status();
+    operation->state = storage::OperationState::kRunning;
+    operation->cancel_requested = true;
+    MAPSIEVE_ASSERT_OK(store_->catalogue().UpdateOperation(*operation));
+  };
+  record("committed");
+  record("begun");
+  Open([](const std::string&, const JobSpec& spec,
+          const ExecutionContext& context) -> absl::StatusOr<JobResult> {
+    if (spec.upload_id == "committed") {
+      return JobResult(UploadReport{.revision = 5});
+    }
+    MAPSIEVE_RETURN_IF_ERROR(context.CheckStop());
+    return JobResult(UploadReport{.revision = 6});
+  });
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Operation committed,
+                                jobs_->Wait("committed", kLong));
+  EXPECT_EQ(committed.state, OperationState::kSucceeded);
+  EXPECT_EQ(committed.upload_report->revision, 5);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Operation begun,
+                                jobs_->Wait("begun", kLong));
+  EXPECT_EQ(begun.state, OperationState::kCancelled);
+}
+
 TEST_F(JobManagerTest, ErrorsAndExceptionsEndTheJobAlone) {
   Open([](const std::string&, const JobSpec& spec,
           const ExecutionContext&) -> absl::StatusOr<JobResult> {

@@ -438,6 +438,22 @@ bool BecomesHealth(const std::shared_ptr<grpc::Channel>& channel,
   return true;
 }
 
+TEST_F(ServiceTest, LogTellsOfOperationsThatFail) {
+  std::ostringstream log;
+  logger_.sinks().push_back(
+      std::make_shared<spdlog::sinks::ostream_sink_mt>(log));
+  const auto bytes = SomeBytes(1000);
+  StartUpload(bytes);
+  MAPSIEVE_ASSERT_OK(client_->Write(kUpload, bytes));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto run, client_->Finalize(kUpload));
+  EXPECT_THAT(client_->Wait(run.name()), StatusIs(Code::kDataLoss, _));
+  server_.reset();
+  EXPECT_THAT(log.str(), HasSubstr(absl::StrCat(
+                             "FinalizeUpload of ", kUpload, ", operation ",
+                             run.name().substr(sizeof("operations")),
+                             ": DATA_LOSS: upload u, block 0 at 0")));
+}
+
 TEST_F(ServiceTest, HealthTellsOfAFullDiskWhileQueriesGoOn) {
   std::ostringstream log;
   logger_.sinks().push_back(

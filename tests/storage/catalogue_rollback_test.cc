@@ -367,6 +367,42 @@ TEST_P(CatalogueTest, AnUploadBegunAnewEndsWhereARollbackBringsItsPoints) {
   EXPECT_EQ(catalogue_->GetUpload(map.uid, "a")->state, UploadState::kActive);
 }
 
+TEST_P(CatalogueTest, AForgottenUploadIsNotTakenForTheNextOneOfItsId) {
+  const MapRecord map = MakeMap("campus");
+  const auto make = [&](const std::string& hash) {
+    const auto upload =
+        catalogue_->CreateUpload(map.uid, {.id = "a", .content_hash = hash});
+    EXPECT_THAT(upload, testing::IsOk());
+    return upload.value_or(UploadRecord());
+  };
+  const auto finalize = [&](const UploadRecord& upload, int64_t parent) {
+    EXPECT_THAT(catalogue_->SetUploadState(upload.uid, UploadState::kActive,
+                                           UploadState::kFinalizing, ""),
+                testing::IsOk());
+    RevisionChange change = Adding({});
+    change.finalized_upload_uid = upload.uid;
+    Commit(map, parent, change);
+  };
+  const std::string first(32, '1');
+  const std::string second(32, '2');
+  const UploadRecord forgotten = make(first);
+  finalize(forgotten, 1);
+  MAPSIEVE_ASSERT_OK(catalogue_->DeleteUpload(forgotten.uid));
+
+  // The points of the first come back, those of the second were never added.
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 1).status());
+  const UploadRecord next = make(second);
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 2).status());
+  EXPECT_EQ(catalogue_->GetUpload(map.uid, "a")->state, UploadState::kActive);
+
+  // The points of the second go, those of the first stay.
+  finalize(next, 4);
+  MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 4).status());
+  const UploadRecord again = make(second);
+  EXPECT_EQ(again.state, UploadState::kActive);
+  EXPECT_NE(again.uid, next.uid);
+}
+
 TEST_P(CatalogueTest, AnUploadThatCameTwiceIsTheLaterOne) {
   const MapRecord map = MakeMap("campus");
   std::string last;

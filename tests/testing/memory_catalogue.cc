@@ -727,8 +727,10 @@ absl::StatusOr<UploadRecord> MemoryCatalogue::SetUploadState(
 
 absl::Status MemoryCatalogue::DeleteUpload(const std::string& upload_uid) {
   MutexLock lock(mutex_);
-  if (uploads_.erase(upload_uid) == 1) return absl::OkStatus();
-  return NotFound("upload", upload_uid);
+  MAPSIEVE_ASSIGN_OR_RETURN(const UploadRecord* upload, FindUpload(upload_uid));
+  maps_.at(upload->map_uid).upload_revisions.erase(upload->spec.id);
+  uploads_.erase(upload_uid);
+  return absl::OkStatus();
 }
 
 absl::StatusOr<int64_t> MemoryCatalogue::DeleteIdleUploads(
