@@ -57,7 +57,7 @@ absl::Status ProductLevels::Add(std::vector<TileCloud> clouds) {
     tile.is_new = true;
     tile.point_count = static_cast<int64_t>(cloud.points.size());
     const int64_t bytes = tile.point_count * point_bytes_;
-    if (tile_bytes_ + bytes > options_.max_pending_bytes) continue;
+    if (tile_bytes_ + bytes > options_.max_tile_bytes) continue;
     tile_bytes_ += bytes;
     tile.points = std::exchange(cloud.points, LatticeCloud());
   }

@@ -31,14 +31,16 @@ namespace mapsieve::engine {
 /// filter made of some tiles and keeps it, in scratch files what is much, knows
 /// the chunks of the others, and once core::ComputeDepths has run over them,
 /// has written chunks of the new tiles and, of the others, of the groups of
-/// depths in which one changed. Memory: answers up to a limit, or one tile; and
-/// new tiles and points of coarse levels, each up to the same limit.
+/// depths in which one changed. Memory: answers up to a limit, or one tile;
+/// points of coarse levels up to the same limit, and new tiles up to another.
 class ProductLevels final : public core::LevelStore,
                             public core::PreviousLevels {
  public:
   struct Options {
     /// Decoded points that are written at a time.
     int64_t max_pending_bytes = 0;
+    /// Decoded new tiles that are not put into scratch files.
+    int64_t max_tile_bytes = 0;
     /// Of a decoded chunk.
     int64_t max_chunk_bytes = 0;
     /// Reads, encodes and stores.

@@ -35,6 +35,7 @@ constexpr IngestLimits kIngest = {.block_bytes = 1 << 26,
 constexpr ProcessLimits kProcess = {.unit_points = 3000,
                                     .tile_points = 1 << 26,
                                     .pending_bytes = 1 << 18,
+                                    .update_bytes = 1 << 18,
                                     .chunk_bytes = 30'000};
 
 /// Content of the chunks of each tile, in order.
