@@ -261,11 +261,9 @@ LevelCounts ProductLevels::CountLevels(const LabelColumnView& labels,
   LevelCounts counts{};
   for (size_t i = 0; i < depths.size(); ++i) {
     const core::Label label = labels.label(i);
-    if (outliers_.has_value() &&
-        !outliers_->Keeps(label, labels.confidence(i))) {
-      continue;
-    }
-    ++counts[depths[i]][static_cast<size_t>(label)];
+    const bool is_kept =
+        !outliers_.has_value() || outliers_->Keeps(label, labels.confidence(i));
+    counts[depths[i]][static_cast<size_t>(label)] += is_kept ? 1 : 0;
   }
   for (size_t level = counts.size() - 1; level > 0; --level) {
     for (size_t label = 0; label < core::kLabelCount; ++label) {
