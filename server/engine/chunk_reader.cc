@@ -163,7 +163,7 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
   core::LatticeCloud points;
   for (const storage::ChunkRef& chunk : chunks) {
     MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud part,
-                              ReadPoints(snapshot, chunk, options));
+                              ReadUnsorted(snapshot, chunk, options));
     points.lattice = part.lattice;
     MAPSIEVE_RETURN_IF_ERROR(points.attributes.AppendAll(
         points.size(), part.attributes, part.size()));

@@ -275,8 +275,8 @@ class MapRun {
         store_, snapshot_, *scratch_,
         ProductLevels::Options{
             .max_pending_bytes = limits_.pending_bytes,
-            .max_tile_bytes = previous == nullptr ? limits_.pending_bytes
-                                                  : limits_.update_bytes,
+            .max_new_bytes = previous == nullptr ? limits_.pending_bytes
+                                                 : limits_.update_bytes,
             .max_chunk_bytes = limits_.chunk_bytes,
             .io = &io_,
             .scratch_compression = previous == nullptr

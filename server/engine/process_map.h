@@ -22,7 +22,7 @@ struct ProcessLimits {
   int64_t tile_points = 0;
   /// Answers that wait to be written.
   int64_t pending_bytes = 0;
-  /// New tiles that an update holds until their depths are known.
+  /// New tiles and levels that an update holds until depths are known.
   int64_t update_bytes = 0;
   /// Of a decoded chunk.
   int64_t chunk_bytes = 0;
