@@ -56,7 +56,9 @@ absl::Status ProductLevels::Add(std::vector<TileCloud> clouds) {
     Tile& tile = tiles_[cloud.tile];
     tile.is_new = true;
     tile.point_count = static_cast<int64_t>(cloud.points.size());
-    if (!TakeRoom(tile.point_count * point_bytes_)) continue;
+    if (!TakeRoom(tile.point_count * DecodedPointBytes(cloud.points))) {
+      continue;
+    }
     tile.points = std::exchange(cloud.points, LatticeCloud());
   }
   std::erase_if(
