@@ -6,6 +6,7 @@
 #include <memory>
 #include <random>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -13,6 +14,7 @@
 #include "core/codec/block_head.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/engine/product_chunk.h"
 #include "tests/engine/engine_testing.h"
 #include "tests/testing/memory_blob_store.h"
 #include "tests/testing/status_matchers.h"
@@ -220,6 +222,29 @@ TEST_F(DamagedChunkReaderTest, AnotherBlockInItsPlaceIsDataLoss) {
   moved.min.x += 1;
   EXPECT_THAT(ReadDamaged(with_head(moved), "b"),
               IsLoss("expected content of hash"));
+}
+
+TEST(ProductChunk, ANumberThatIsNoLabelOrNoDepthIsDataLoss) {
+  const auto check = [](std::string_view name, uint8_t largest) {
+    // Wherever it lies.
+    for (const size_t row : {size_t{0}, size_t{70}, size_t{99}}) {
+      core::Column column({std::string(name), core::ScalarType::kUint8}, 100);
+      column.Set<uint8_t>(row, largest);
+      core::ColumnSet columns;
+      columns.columns() = {column};
+      const auto read = [&] {
+        return name == kDepthColumn ? DepthsOf(columns).status()
+                                    : CountLabels(columns).status();
+      };
+      MAPSIEVE_EXPECT_OK(read());
+      columns.columns()[0].Set(row, static_cast<uint8_t>(largest + 1));
+      EXPECT_THAT(read(),
+                  StatusIs(absl::StatusCode::kDataLoss,
+                           HasSubstr("of point " + std::to_string(row) + " ")));
+    }
+  };
+  check(kLabelColumn, core::kLabelCount - 1);
+  check(kDepthColumn, core::kMaxDepth);
 }
 
 }  // namespace

@@ -102,8 +102,11 @@ TEST_P(UpdateTest, GivesTheBytesOfAMapBuiltFromTheSamePoints) {
     const LatticeCloud clump = Clump(all, random);
     Append(clump, all);
     MAPSIEVE_ASSERT_OK(edited.Add(clump, kIngest));
+    // New tiles and levels in scratch files, then all of them in memory.
+    ProcessLimits limits = kProcess;
+    limits.update_bytes = edit == 0 ? 0 : 1 << 26;
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport report,
-                                  edited.Process(options, kProcess));
+                                  edited.Process(options, limits));
     Workshop scratch(kTileLevel);
     MAPSIEVE_ASSERT_OK(scratch.Add(all, kIngest));
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport expected,
