@@ -39,10 +39,11 @@ class BlobStore {
   virtual absl::StatusOr<std::vector<std::byte>> Get(
       const BlobId& id) const = 0;
 
-  /// `size` bytes at `offset`, not checked against the id. kNotFound;
-  /// kOutOfRange: the range is not inside the blob.
-  virtual absl::StatusOr<std::vector<std::byte>> GetRange(
-      const BlobId& id, int64_t offset, int64_t size) const = 0;
+  /// Fills `room` with the bytes at `offset`, which are not checked against
+  /// the id: what they hold has to tell whether they are what was stored.
+  /// kNotFound; kOutOfRange: the range is not inside the blob.
+  virtual absl::Status GetRange(const BlobId& id, int64_t offset,
+                                std::span<std::byte> room) const = 0;
 
   /// Where a blob lies or would lie, for messages: on a disk the path of its
   /// file.

@@ -127,9 +127,13 @@ FileSystem& PosixFileSystem();
 /// `directory`/`name`.
 std::string JoinPath(const std::string& directory, const std::string& name);
 
-/// All `size` bytes at `offset`. kDataLoss if the file ends before them,
-/// naming `path`, the offset, expected and actual. The caller has checked
-/// `size` against a limit of its own.
+/// Fills `room` with the bytes at `offset`. kDataLoss if the file ends before
+/// that, naming `path`, the offset, expected and actual.
+absl::Status ReadExactly(const File& file, const std::string& path,
+                         int64_t offset, std::span<std::byte> room);
+
+/// All `size` bytes at `offset`, as the other ReadExactly. The caller has
+/// checked `size` against a limit of its own.
 absl::StatusOr<std::vector<std::byte>> ReadExactly(const File& file,
                                                    const std::string& path,
                                                    int64_t offset,

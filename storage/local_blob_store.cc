@@ -91,18 +91,17 @@ class LocalBlobStore final : public BlobStore {
     return bytes;
   }
 
-  absl::StatusOr<std::vector<std::byte>> GetRange(const BlobId& id,
-                                                  int64_t offset,
-                                                  int64_t size) const override {
+  absl::Status GetRange(const BlobId& id, int64_t offset,
+                        std::span<std::byte> room) const override {
     MAPSIEVE_ASSIGN_OR_RETURN(const auto file, OpenBlob(id));
     MAPSIEVE_ASSIGN_OR_RETURN(const int64_t blob_size, file->Size());
-    if (offset < 0 || size < 0 || size > kMaxBlobBytes || offset > blob_size ||
-        size > blob_size - offset) {
+    const auto size = static_cast<int64_t>(room.size());
+    if (offset < 0 || offset > blob_size || size > blob_size - offset) {
       return absl::OutOfRangeError(
           absl::StrCat("blob ", id, ": ", size, " bytes at offset ", offset,
                        " asked for, it has ", blob_size));
     }
-    return ReadExactly(*file, PathOf(id), offset, size);
+    return ReadExactly(*file, PathOf(id), offset, room);
   }
 
   std::string Location(const BlobId& id) const override { return PathOf(id); }

@@ -137,6 +137,13 @@ absl::StatusOr<std::vector<std::byte>> ReadSnapshot::ReadChunk(
   return bytes;
 }
 
+absl::Status ReadSnapshot::ReadChunkRange(const ChunkRef& chunk, int64_t offset,
+                                          std::span<std::byte> room) const {
+  const absl::Status status =
+      store_.blobs_->GetRange(chunk.blob_id, offset, room);
+  return status.ok() ? status : Annotate(status, Describe(chunk));
+}
+
 std::string ReadSnapshot::NameOf(const ChunkRef& chunk) const {
   return absl::StrCat("map ", map_.spec.id, ", revision ", revision_.number,
                       ", tile ", chunk.tile.ToString(), ", ",

@@ -94,6 +94,12 @@ class ReadSnapshot {
   /// checked. kDataLoss: the blob is missing, or not what was stored; with
   /// Describe, the offsets, and what was expected and found.
   absl::StatusOr<std::vector<std::byte>> ReadChunk(const ChunkRef& chunk) const;
+
+  /// Fills `room` with the bytes of such a chunk at `offset`, not checked:
+  /// BlobStore::GetRange. kNotFound and kOutOfRange: the blob is missing, or
+  /// shorter than that; with Describe.
+  absl::Status ReadChunkRange(const ChunkRef& chunk, int64_t offset,
+                              std::span<std::byte> room) const;
   /// Map, revision, tile, chunk and file, for messages.
   std::string Describe(const ChunkRef& chunk) const;
 

@@ -6,6 +6,17 @@
 #include "core/geometry/morton.h"
 
 namespace mapsieve::core {
+namespace {
+
+bool IsInside(const IndexBox& inner, const IndexBox& outer) {
+  bool is_inside = true;
+  for (size_t a = 0; a < 3; ++a) {
+    is_inside &= outer.min[a] <= inner.min[a] && inner.max[a] <= outer.max[a];
+  }
+  return is_inside;
+}
+
+}  // namespace
 
 void IndexBox::Extend(const IndexBox& other) {
   for (size_t a = 0; a < 3; ++a) {
@@ -78,11 +89,25 @@ uint32_t PointIndex::Split(uint32_t begin, uint32_t end) const {
 
 IndexBox PointIndex::BoxOf(uint32_t begin, uint32_t end) const {
   IndexBox box = PointBox(begin);
-  for (uint32_t i = begin + 1; i < end; ++i) box.Extend(PointBox(i));
+  // Axis by axis, several points at a time.
+  size_t a = 0;
+  for (const int32_t* const along : {x_.data(), y_.data(), z_.data()}) {
+    int32_t min = along[begin];
+    int32_t max = min;
+    for (uint32_t i = begin + 1; i < end; ++i) {
+      min = std::min(min, along[i]);
+      max = std::max(max, along[i]);
+    }
+    box.min[a] = min;
+    box.max[a++] = max;
+  }
   return box;
 }
 
 IndexBox PointIndex::BoxOf(std::span<const uint32_t> points) const {
+  if (points.back() - points.front() + 1 == points.size()) {
+    return BoxOf(points.front(), points.back() + 1);
+  }
   IndexBox box = PointBox(points[0]);
   for (const uint32_t i : points.subspan(1)) box.Extend(PointBox(i));
   return box;
@@ -172,7 +197,7 @@ void PointIndex::FindRanges(const IndexBox& box,
     const uint32_t n = stack[--depth];
     const Node& node = nodes_[n];
     if (!node.box.Touches(box)) continue;
-    if (!node.is_leaf()) {
+    if (!node.is_leaf() && !IsInside(node.box, box)) {
       stack[depth++] = node.right;
       stack[depth++] = n + 1;
       continue;

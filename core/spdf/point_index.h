@@ -99,7 +99,7 @@ class PointIndex {
   IndexBox PointBox(uint32_t i) const {
     return {{x_[i], y_[i], z_[i]}, {x_[i], y_[i], z_[i]}};
   }
-  /// The tight box of some points, at least one.
+  /// The tight box of some points, at least one, in ascending order.
   IndexBox BoxOf(std::span<const uint32_t> points) const;
   /// Coordinates of all points, padded for kernels.
   GatherSource source() const { return {x_.data(), y_.data(), z_.data()}; }

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -10,6 +12,7 @@
 
 #include "core/base/status.h"
 #include "core/cloud/merge_duplicates.h"
+#include "core/codec/block_parts.h"
 #include "core/geometry/morton.h"
 #include "server/engine/product_chunk.h"
 
@@ -32,17 +35,95 @@ absl::Status CheckDecoded(const storage::ReadSnapshot& snapshot,
   return status.ok() ? status : Annotate(status, snapshot.Describe(chunk));
 }
 
+size_t SizeOf(const core::LatticeCloud& points) { return points.size(); }
+size_t SizeOf(const core::ColumnSet& columns) {
+  return columns.columns().empty() ? 0 : columns.columns().front().size();
+}
+
+/// A block of which some bytes were read; the others have no value.
+struct PartialBlock {
+  std::unique_ptr<std::byte[]> data;
+  size_t size = 0;
+
+  std::span<std::byte> bytes() const { return {data.get(), size}; }
+};
+
+/// Smaller chunks are read whole: calls would take longer than bytes.
+constexpr int64_t kMinPartialBytes = int64_t{64} << 10;
+/// Most heads are shorter.
+constexpr size_t kHeadBytes = 4096;
+
+/// Reads of a chunk of at least kMinPartialBytes what decoding it takes. The
+/// catalogue tells whether the block is the chunk's: the size, which decoding
+/// compares, and the bounds. kDataLoss, kNotFound, kOutOfRange: it is not as
+/// it was stored, or its head is longer than kHeadBytes.
+absl::StatusOr<PartialBlock> ReadPartially(
+    const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
+    std::span<const std::string> attributes, core::BlockPositions positions) {
+  PartialBlock block = {.size = static_cast<size_t>(chunk.stored_bytes)};
+  block.data = std::make_unique_for_overwrite<std::byte[]>(block.size);
+  const std::span<std::byte> head = block.bytes().first(kHeadBytes);
+  MAPSIEVE_RETURN_IF_ERROR(snapshot.ReadChunkRange(chunk, 0, head));
+  MAPSIEVE_ASSIGN_OR_RETURN(const core::BlockHeader header,
+                            core::ReadBlockHeader(head));
+  const core::LatticeBox bounds =
+      core::BoxOf(header.min).Union(core::BoxOf(header.max));
+  if (header.block_bytes != chunk.stored_bytes || bounds != chunk.bounds) {
+    return absl::DataLossError(
+        "size or bounds of the points are not those in the catalogue");
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<core::BlockPart> parts,
+                            core::FindParts(head, attributes, positions));
+  for (const auto& [begin, end] : parts) {
+    MAPSIEVE_RETURN_IF_ERROR(
+        snapshot.ReadChunkRange(chunk, static_cast<int64_t>(begin),
+                                block.bytes().subspan(begin, end - begin)));
+  }
+  return block;
+}
+
+/// decode(block) of a chunk, which looks at `attributes` (nothing: all) and
+/// perhaps the positions. Where these are not the whole chunk, only they are
+/// read, and the checksums of the block tell damage; what it is then, reading
+/// all of it tells.
+template <typename Decode>
+auto DecodeChunk(const storage::ReadSnapshot& snapshot,
+                 const storage::ChunkRef& chunk,
+                 const std::optional<std::vector<std::string>>& attributes,
+                 core::BlockPositions positions, const Decode& decode)
+    -> decltype(decode(std::span<const std::byte>())) {
+  if (attributes.has_value() && chunk.stored_bytes >= kMinPartialBytes) {
+    const absl::StatusOr<PartialBlock> block =
+        ReadPartially(snapshot, chunk, *attributes, positions);
+    if (block.ok()) {
+      auto decoded = decode(block->bytes());
+      if (decoded.ok() &&
+          SizeOf(*decoded) == static_cast<size_t>(chunk.point_count)) {
+        return decoded;
+      }
+    } else if (!absl::IsDataLoss(block.status()) &&
+               !absl::IsNotFound(block.status()) &&
+               !absl::IsOutOfRange(block.status())) {
+      return block.status();
+    }
+  }
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
+                            snapshot.ReadChunk(chunk));
+  auto decoded = decode(std::span<const std::byte>(block));
+  MAPSIEVE_RETURN_IF_ERROR(CheckDecoded(snapshot, chunk, decoded.status(),
+                                        decoded.ok() ? SizeOf(*decoded) : 0));
+  return decoded;
+}
+
 /// The points of a chunk in the chunk's order.
 absl::StatusOr<core::LatticeCloud> ReadUnsorted(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options) {
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
-                            snapshot.ReadChunk(chunk));
-  absl::StatusOr<core::LatticeCloud> points =
-      core::DecodePoints(block, options);
-  MAPSIEVE_RETURN_IF_ERROR(CheckDecoded(snapshot, chunk, points.status(),
-                                        points.ok() ? points->size() : 0));
-  return points;
+  return DecodeChunk(snapshot, chunk, options.attributes,
+                     core::BlockPositions::kWanted,
+                     [&](std::span<const std::byte> block) {
+                       return core::DecodePoints(block, options);
+                     });
 }
 
 }  // namespace
@@ -68,14 +149,10 @@ absl::StatusOr<std::vector<core::LatticePoint>> ReadPositions(
 absl::StatusOr<core::ColumnSet> ReadColumns(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const std::vector<std::string>& names) {
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<std::byte> block,
-                            snapshot.ReadChunk(chunk));
-  absl::StatusOr<core::ColumnSet> columns = core::DecodeColumns(block, names);
-  const bool has_any = columns.ok() && !columns->columns().empty();
-  MAPSIEVE_RETURN_IF_ERROR(
-      CheckDecoded(snapshot, chunk, columns.status(),
-                   has_any ? columns->columns().front().size() : 0));
-  return columns;
+  return DecodeChunk(snapshot, chunk, names, core::BlockPositions::kNotWanted,
+                     [&](std::span<const std::byte> block) {
+                       return core::DecodeColumns(block, names);
+                     });
 }
 
 absl::StatusOr<core::LatticeCloud> ReadPoints(
@@ -86,7 +163,7 @@ absl::StatusOr<core::LatticeCloud> ReadPoints(
   core::LatticeCloud points;
   for (const storage::ChunkRef& chunk : chunks) {
     MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud part,
-                              ReadPoints(snapshot, chunk, options));
+                              ReadUnsorted(snapshot, chunk, options));
     points.lattice = part.lattice;
     MAPSIEVE_RETURN_IF_ERROR(points.attributes.AppendAll(
         points.size(), part.attributes, part.size()));

@@ -12,9 +12,10 @@
 
 namespace mapsieve::engine {
 
-/// The points of a chunk in Morton order. Errors of ReadSnapshot::ReadChunk and
-/// DecodePoints, with ReadSnapshot::Describe; kDataLoss: not as many points as
-/// the catalogue says.
+/// The points of a chunk in Morton order. Of a large chunk only the columns
+/// that `options` want are read; those are checked, damage of others is not
+/// noticed. Errors of ReadSnapshot::ReadChunk and DecodePoints, with
+/// ReadSnapshot::Describe; kDataLoss: not as many points as the catalogue says.
 absl::StatusOr<core::LatticeCloud> ReadPoints(
     const storage::ReadSnapshot& snapshot, const storage::ChunkRef& chunk,
     const core::DecodeOptions& options = {});

@@ -204,6 +204,8 @@ class MapRun {
 
   /// Filters what has changed.
   absl::StatusOr<ProcessReport> Update(const Previous& previous) {
+    // The other half of the memory is for the new tiles.
+    tiling_.max_unit_points = std::max(limits_.unit_points / 2, int64_t{1});
     MAPSIEVE_RETURN_IF_ERROR(OpenTiles(&previous, nullptr));
     MAPSIEVE_ASSIGN_OR_RETURN(
         const std::vector<core::TileChange> changes,
@@ -273,6 +275,8 @@ class MapRun {
         store_, snapshot_, *scratch_,
         ProductLevels::Options{
             .max_pending_bytes = limits_.pending_bytes,
+            .max_new_bytes = previous == nullptr ? limits_.pending_bytes
+                                                 : limits_.update_bytes,
             .max_chunk_bytes = limits_.chunk_bytes,
             .io = &io_,
             .scratch_compression = previous == nullptr
@@ -414,7 +418,7 @@ class MapRun {
   RunProgress progress_;
   const ExecutionContext context_;
   const core::Lattice lattice_;
-  const core::TilingOptions tiling_;
+  core::TilingOptions tiling_;
   std::unique_ptr<storage::Scratch> scratch_;
   std::unique_ptr<RunCheckpoint> checkpoint_;
   std::unique_ptr<ProductLevels> levels_;
@@ -427,6 +431,7 @@ ProcessLimits ProcessLimits::Of(int64_t memory_bytes) {
   return {.unit_points = memory_bytes / kFilterBytesPerPoint,
           .tile_points = memory_bytes / kTileBytesPerPoint,
           .pending_bytes = memory_bytes / 16,
+          .update_bytes = memory_bytes / 2,
           .chunk_bytes = std::min(memory_bytes / 128, int64_t{16} << 20)};
 }
 

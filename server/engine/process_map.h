@@ -15,12 +15,15 @@ namespace mapsieve::engine {
 
 /// How a run of the filter divides its memory.
 struct ProcessLimits {
-  /// Points of a unit of tiles that are filtered together.
+  /// Points of a unit of tiles that are filtered together; half of that in an
+  /// update.
   int64_t unit_points = 0;
   /// Points of a tile, duplicates included: a tile is never cut.
   int64_t tile_points = 0;
   /// Answers that wait to be written.
   int64_t pending_bytes = 0;
+  /// New tiles and levels that an update holds until depths are known.
+  int64_t update_bytes = 0;
   /// Of a decoded chunk.
   int64_t chunk_bytes = 0;
 

@@ -25,6 +25,33 @@ Column MakeColumn(std::string_view name, const LabelSpans& labels,
   return column;
 }
 
+/// kDataLoss, for the first one, if any of a chunk's `numbers` is above
+/// `largest`; `what` they are.
+absl::Status CheckNumbers(std::string_view what,
+                          std::span<const std::byte> numbers, size_t largest) {
+  // Without an end before the last one, it takes many at a time.
+  std::byte found{};
+  for (const std::byte number : numbers) found = std::max(found, number);
+  if (static_cast<size_t>(found) <= largest) return absl::OkStatus();
+  const auto wrong = std::find_if(
+      numbers.begin(), numbers.end(),
+      [&](std::byte number) { return static_cast<size_t>(number) > largest; });
+  return absl::DataLossError(
+      absl::StrCat(ToAbsl(what), " of point ", wrong - numbers.begin(),
+                   " of a product chunk: expected at most ", largest,
+                   ", found ", static_cast<int>(*wrong)));
+}
+
+/// kLabelColumn; kDataLoss: not there, or a number in it that is no label.
+absl::StatusOr<const Column*> FindLabels(const core::ColumnSet& columns) {
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      const Column* const column,
+      FindProductColumn(columns, kLabelColumn, ScalarType::kUint8));
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckNumbers("label", column->bytes(), core::kLabelCount - 1));
+  return column;
+}
+
 }  // namespace
 
 LatticeCloud MakeProductCloud(LatticeCloud points, const LabelSpans& labels) {
@@ -81,17 +108,10 @@ absl::StatusOr<std::vector<uint8_t>> DepthsOf(const core::ColumnSet& columns) {
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Column* const column,
       FindProductColumn(columns, kDepthColumn, ScalarType::kUint8));
+  MAPSIEVE_RETURN_IF_ERROR(
+      CheckNumbers("depth", column->bytes(), core::kMaxDepth));
   std::vector<uint8_t> depths(column->size());
   std::memcpy(depths.data(), column->bytes().data(), depths.size());
-  const auto wrong =
-      std::find_if(depths.begin(), depths.end(),
-                   [](uint8_t depth) { return depth > core::kMaxDepth; });
-  if (wrong != depths.end()) {
-    return absl::DataLossError(
-        absl::StrCat("depth of point ", wrong - depths.begin(),
-                     " of a product chunk: expected at most ", core::kMaxDepth,
-                     ", found ", *wrong));
-  }
   return depths;
 }
 
@@ -150,10 +170,7 @@ absl::StatusOr<core::LabelColumns> LabelColumnsOf(const LatticeCloud& points) {
 
 absl::StatusOr<LabelColumnView> LabelColumnView::Of(
     const core::ColumnSet& columns) {
-  MAPSIEVE_RETURN_IF_ERROR(CountLabels(columns).status());
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const Column* const label,
-      FindProductColumn(columns, kLabelColumn, ScalarType::kUint8));
+  MAPSIEVE_ASSIGN_OR_RETURN(const Column* const label, FindLabels(columns));
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Column* const confidence,
       FindProductColumn(columns, kConfidenceColumn, ScalarType::kUint16));
@@ -161,19 +178,9 @@ absl::StatusOr<LabelColumnView> LabelColumnView::Of(
 }
 
 absl::StatusOr<core::LabelCounts> CountLabels(const core::ColumnSet& columns) {
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const Column* const column,
-      FindProductColumn(columns, kLabelColumn, ScalarType::kUint8));
+  MAPSIEVE_ASSIGN_OR_RETURN(const Column* const column, FindLabels(columns));
   core::LabelCounts counts{};
-  for (size_t i = 0; i < column->size(); ++i) {
-    const auto label = column->Get<uint8_t>(i);
-    if (label >= core::kLabelCount) {
-      return absl::DataLossError(absl::StrCat(
-          "label of point ", i, " of a product chunk: expected at most ",
-          core::kLabelCount - 1, ", found ", label));
-    }
-    ++counts[label];
-  }
+  for (size_t i = 0; i < column->size(); ++i) ++counts[column->Get<uint8_t>(i)];
   return counts;
 }
 

@@ -56,9 +56,9 @@ absl::Status ProductLevels::Add(std::vector<TileCloud> clouds) {
     Tile& tile = tiles_[cloud.tile];
     tile.is_new = true;
     tile.point_count = static_cast<int64_t>(cloud.points.size());
-    const int64_t bytes = tile.point_count * point_bytes_;
-    if (tile_bytes_ + bytes > options_.max_pending_bytes) continue;
-    tile_bytes_ += bytes;
+    if (!TakeRoom(tile.point_count * DecodedPointBytes(cloud.points))) {
+      continue;
+    }
     tile.points = std::exchange(cloud.points, LatticeCloud());
   }
   std::erase_if(
@@ -70,7 +70,9 @@ absl::Status ProductLevels::Add(std::vector<TileCloud> clouds) {
           return absl::CancelledError("cancelled");
         }
         auto& [tile, points] = clouds[static_cast<size_t>(i)];
-        MAPSIEVE_RETURN_IF_ERROR(StorePoints(0, tile, points.positions));
+        MAPSIEVE_RETURN_IF_ERROR(WriteScratch(
+            LevelName(0, tile),
+            {.lattice = points.lattice, .positions = points.positions}));
         std::fill(points.positions.begin(), points.positions.end(),
                   tile.corner());
         return WriteScratch(AttributesName(tile), points);
@@ -116,6 +118,13 @@ int64_t ProductLevels::CountAtMost(int level, const CellKey& tile) const {
     if (chunk.ref.max_depth >= level) count += chunk.ref.point_count;
   }
   return count;
+}
+
+/// Whether `bytes` more of what is new may stay in memory; if so, they count.
+bool ProductLevels::TakeRoom(int64_t bytes) {
+  if (new_bytes_ + bytes > options_.max_new_bytes) return false;
+  new_bytes_ += bytes;
+  return true;
 }
 
 absl::Status ProductLevels::WriteScratch(const std::string& name,
@@ -173,16 +182,21 @@ absl::StatusOr<LatticeCloud> ProductLevels::LoadBefore(
 
 absl::StatusOr<int64_t> ProductLevels::LoadPoints(
     int level, const CellKey& cell, std::span<LatticePoint> room) {
-  const Tile* const tile = level == 0 ? &tiles_.at(cell) : nullptr;
   LatticeCloud read;
-  if (tile != nullptr && tile->is_kept) {
-    MAPSIEVE_ASSIGN_OR_RETURN(read, LoadBefore(cell, 0, Only({})));
-  } else if (tile == nullptr || !tile->points.has_value()) {
-    MAPSIEVE_ASSIGN_OR_RETURN(read, ReadScratch(LevelName(level, cell)));
+  std::span<const LatticePoint> points;
+  const auto& made = made_[static_cast<size_t>(level)];
+  const auto in_memory = made.find(cell);
+  const Tile* const tile = level == 0 ? &tiles_.at(cell) : nullptr;
+  if (in_memory != made.end()) {
+    points = in_memory->second;
+  } else if (tile != nullptr && tile->points.has_value()) {
+    points = tile->points->positions;
+  } else {
+    MAPSIEVE_ASSIGN_OR_RETURN(read, tile != nullptr && tile->is_kept
+                                        ? LoadBefore(cell, 0, Only({}))
+                                        : ReadScratch(LevelName(level, cell)));
+    points = read.positions;
   }
-  const std::span<const LatticePoint> points =
-      tile != nullptr && tile->points.has_value() ? tile->points->positions
-                                                  : read.positions;
   if (points.size() != room.size()) {
     return absl::DataLossError(absl::StrCat(
         "level ", level, " of cell ", cell.ToString(), ": expected ",
@@ -249,6 +263,11 @@ void ProductLevels::KeepCoarse(const CellKey& tile,
 
 absl::Status ProductLevels::StorePoints(int level, const CellKey& cell,
                                         std::span<const LatticePoint> points) {
+  if (TakeRoom(static_cast<int64_t>(points.size_bytes()))) {
+    made_[static_cast<size_t>(level)][cell].assign(points.begin(),
+                                                   points.end());
+    return absl::OkStatus();
+  }
   return WriteScratch(LevelName(level, cell),
                       {.lattice = core::Lattice(snapshot_.map().spec.step_nm),
                        .positions = {points.begin(), points.end()}});
@@ -261,11 +280,9 @@ LevelCounts ProductLevels::CountLevels(const LabelColumnView& labels,
   LevelCounts counts{};
   for (size_t i = 0; i < depths.size(); ++i) {
     const core::Label label = labels.label(i);
-    if (outliers_.has_value() &&
-        !outliers_->Keeps(label, labels.confidence(i))) {
-      continue;
-    }
-    ++counts[depths[i]][static_cast<size_t>(label)];
+    const bool is_kept =
+        !outliers_.has_value() || outliers_->Keeps(label, labels.confidence(i));
+    counts[depths[i]][static_cast<size_t>(label)] += is_kept ? 1 : 0;
   }
   for (size_t level = counts.size() - 1; level > 0; --level) {
     for (size_t label = 0; label < core::kLabelCount; ++label) {

@@ -31,14 +31,18 @@ namespace mapsieve::engine {
 /// filter made of some tiles and keeps it, in scratch files what is much, knows
 /// the chunks of the others, and once core::ComputeDepths has run over them,
 /// has written chunks of the new tiles and, of the others, of the groups of
-/// depths in which one changed. Memory: answers up to a limit, or one tile; and
-/// new tiles and points of coarse levels, each up to the same limit.
+/// depths in which one changed. Memory: answers up to a limit, or one tile;
+/// points of coarse levels up to the same limit; new tiles and new points of
+/// levels, together up to another.
 class ProductLevels final : public core::LevelStore,
                             public core::PreviousLevels {
  public:
   struct Options {
     /// Decoded points that are written at a time.
     int64_t max_pending_bytes = 0;
+    /// Decoded new tiles and points of levels that are not put into scratch
+    /// files.
+    int64_t max_new_bytes = 0;
     /// Of a decoded chunk.
     int64_t max_chunk_bytes = 0;
     /// Reads, encodes and stores.
@@ -130,6 +134,7 @@ class ProductLevels final : public core::LevelStore,
     std::vector<uint8_t> depths;
   };
 
+  bool TakeRoom(int64_t bytes);
   absl::Status WriteScratch(const std::string& name,
                             const core::LatticeCloud& points) const;
   absl::StatusOr<core::LatticeCloud> ReadScratch(const std::string& name) const;
@@ -155,8 +160,14 @@ class ProductLevels final : public core::LevelStore,
   const int64_t point_bytes_;
   ChunkWriter chunks_;
   std::map<core::CellKey, Tile, core::CellKeyLess> tiles_;
-  /// Of Tile::points.
-  int64_t tile_bytes_ = 0;
+  /// What StorePoints got of levels above 0, if there was room for it; else it
+  /// is in scratch files.
+  std::array<std::unordered_map<core::CellKey, std::vector<core::LatticePoint>,
+                                core::CellKeyHash>,
+             core::kMaxDepth + 1>
+      made_;
+  /// Of Tile::points and made_.
+  int64_t new_bytes_ = 0;
   std::vector<Pending> pending_;
   int64_t pending_bytes_ = 0;
   std::vector<int64_t> replaced_;

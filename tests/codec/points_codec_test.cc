@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/bytes.h"
 #include "core/codec/block_head.h"
+#include "core/codec/block_parts.h"
 #include "core/geometry/morton.h"
 #include "tests/codec/codec_test_util.h"
 #include "tests/testing/status_matchers.h"
@@ -381,6 +382,51 @@ TEST(DecodeColumns, ReadsThemWithoutTouchingAnythingElse) {
   block.pop_back();
   EXPECT_THAT(DecodeColumns(block, {"column 3"}),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("expected")));
+}
+
+TEST(FindParts, NamesAllThatIsReadOfWantedColumns) {
+  const std::vector<std::string> wanted = {"column 8", "none", "column 3",
+                                           "column 4"};
+  for (const LatticeCloud& cloud :
+       {RandomCloud(4, 500, 1000), InMortonOrder(RandomCloud(5, 500, 1000)),
+        RandomCloud(6, 0, 1000)}) {
+    const auto block = EncodePoints(cloud).value();
+    for (const auto positions :
+         {BlockPositions::kWanted, BlockPositions::kNotWanted}) {
+      const BlockHead head = ReadBlockHead(block).value();
+      MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+          const std::vector<BlockPart> parts,
+          FindParts(std::span(block).first(head.head_bytes), wanted,
+                    positions));
+      std::vector<std::byte> sparse(block.size(), std::byte{0xa5});
+      std::copy_n(block.begin(), head.head_bytes, sparse.begin());
+      size_t last = head.head_bytes - 1;
+      for (const auto& [begin, end] : parts) {
+        EXPECT_GT(begin, last);
+        EXPECT_LT(begin, end);
+        last = end;
+        std::copy(block.begin() + static_cast<ptrdiff_t>(begin),
+                  block.begin() + static_cast<ptrdiff_t>(end),
+                  sparse.begin() + static_cast<ptrdiff_t>(begin));
+      }
+      if (positions == BlockPositions::kWanted) {
+        const auto actual = DecodePoints(sparse, {.attributes = wanted});
+        MAPSIEVE_ASSERT_OK(actual.status());
+        ExpectSame(*actual, *DecodePoints(block, {.attributes = wanted}));
+      } else {
+        const auto actual = DecodeColumns(sparse, wanted);
+        MAPSIEVE_ASSERT_OK(actual.status());
+        EXPECT_EQ(actual->columns(), DecodeColumns(block, wanted)->columns());
+        if (cloud.size() > 0) {
+          EXPECT_FALSE(DecodePoints(sparse, {.attributes = wanted}).ok());
+          EXPECT_FALSE(DecodeColumns(sparse, {"column 1"}).ok());
+        }
+      }
+    }
+    EXPECT_THAT(
+        FindParts(std::span(block).first(100), wanted, BlockPositions::kWanted),
+        StatusIs(absl::StatusCode::kOutOfRange, _));
+  }
 }
 
 TEST(DecodePoints, CountsTheMemoryOfTheWantedColumns) {

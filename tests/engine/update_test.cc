@@ -35,6 +35,7 @@ constexpr IngestLimits kIngest = {.block_bytes = 1 << 26,
 constexpr ProcessLimits kProcess = {.unit_points = 3000,
                                     .tile_points = 1 << 26,
                                     .pending_bytes = 1 << 18,
+                                    .update_bytes = 1 << 18,
                                     .chunk_bytes = 30'000};
 
 /// Content of the chunks of each tile, in order.
@@ -101,8 +102,11 @@ TEST_P(UpdateTest, GivesTheBytesOfAMapBuiltFromTheSamePoints) {
     const LatticeCloud clump = Clump(all, random);
     Append(clump, all);
     MAPSIEVE_ASSERT_OK(edited.Add(clump, kIngest));
+    // New tiles and levels in scratch files, then all of them in memory.
+    ProcessLimits limits = kProcess;
+    limits.update_bytes = edit == 0 ? 0 : 1 << 26;
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport report,
-                                  edited.Process(options, kProcess));
+                                  edited.Process(options, limits));
     Workshop scratch(kTileLevel);
     MAPSIEVE_ASSERT_OK(scratch.Add(all, kIngest));
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const ProcessReport expected,

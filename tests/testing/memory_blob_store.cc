@@ -1,5 +1,6 @@
 #include "tests/testing/memory_blob_store.h"
 
+#include <algorithm>
 #include <string>
 
 #include "absl/strings/str_cat.h"
@@ -39,15 +40,18 @@ absl::StatusOr<std::vector<std::byte>> MemoryBlobStore::Get(
   return absl::NotFoundError(absl::StrCat("blob ", id));
 }
 
-absl::StatusOr<std::vector<std::byte>> MemoryBlobStore::GetRange(
-    const storage::BlobId& id, int64_t offset, int64_t size) const {
+absl::Status MemoryBlobStore::GetRange(const storage::BlobId& id,
+                                       int64_t offset,
+                                       std::span<std::byte> room) const {
   MAPSIEVE_ASSIGN_OR_RETURN(const auto bytes, Get(id));
   const auto whole = static_cast<int64_t>(bytes.size());
-  if (offset < 0 || size < 0 || offset > whole || size > whole - offset) {
+  const auto size = static_cast<int64_t>(room.size());
+  if (offset < 0 || offset > whole || size > whole - offset) {
     return absl::OutOfRangeError(absl::StrCat(
         "blob ", id, ": ", size, " bytes at ", offset, " of ", whole));
   }
-  return std::vector(bytes.begin() + offset, bytes.begin() + offset + size);
+  std::copy_n(bytes.begin() + offset, size, room.begin());
+  return absl::OkStatus();
 }
 
 absl::StatusOr<int64_t> MemoryBlobStore::Size(const storage::BlobId& id) const {

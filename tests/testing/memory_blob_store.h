@@ -20,9 +20,8 @@ class MemoryBlobStore final : public storage::BlobStore {
       std::span<const std::byte> bytes) override;
   absl::StatusOr<std::vector<std::byte>> Get(
       const storage::BlobId& id) const override;
-  absl::StatusOr<std::vector<std::byte>> GetRange(const storage::BlobId& id,
-                                                  int64_t offset,
-                                                  int64_t size) const override;
+  absl::Status GetRange(const storage::BlobId& id, int64_t offset,
+                        std::span<std::byte> room) const override;
   absl::StatusOr<int64_t> Size(const storage::BlobId& id) const override;
   std::string Location(const storage::BlobId& id) const override {
     return "memory, blob " + id;
