@@ -275,8 +275,6 @@ class MapRun {
         store_, snapshot_, *scratch_,
         ProductLevels::Options{
             .max_pending_bytes = limits_.pending_bytes,
-            .max_new_bytes = previous == nullptr ? limits_.pending_bytes
-                                                 : limits_.update_bytes,
             .max_chunk_bytes = limits_.chunk_bytes,
             .io = &io_,
             .scratch_compression = previous == nullptr
@@ -294,7 +292,20 @@ class MapRun {
                      .stop = context_.stop,
                      .checkpoint = checkpoint_.get(),
                      .repair = repair}));
+    levels_->KeepInMemory(previous == nullptr ? limits_.pending_bytes
+                                              : UpdateBytes());
     return CheckTiles();
+  }
+
+  /// ProcessLimits::update_bytes, less what a tile that is larger than a unit
+  /// takes beyond that.
+  int64_t UpdateBytes() const {
+    int64_t largest = tiling_.max_unit_points;
+    for (const core::TileInfo& tile : tiles_->Tiles()) {
+      largest = std::max(largest, tile.point_count);
+    }
+    return limits_.update_bytes -
+           (largest - tiling_.max_unit_points) * kFilterBytesPerPoint;
   }
 
   /// Runs of one key make the same visits.

@@ -122,7 +122,7 @@ int64_t ProductLevels::CountAtMost(int level, const CellKey& tile) const {
 
 /// Whether `bytes` more of what is new may stay in memory; if so, they count.
 bool ProductLevels::TakeRoom(int64_t bytes) {
-  if (new_bytes_ + bytes > options_.max_new_bytes) return false;
+  if (new_bytes_ + bytes > max_new_bytes_) return false;
   new_bytes_ += bytes;
   return true;
 }

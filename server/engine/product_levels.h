@@ -40,9 +40,6 @@ class ProductLevels final : public core::LevelStore,
   struct Options {
     /// Decoded points that are written at a time.
     int64_t max_pending_bytes = 0;
-    /// Decoded new tiles and points of levels that are not put into scratch
-    /// files.
-    int64_t max_new_bytes = 0;
     /// Of a decoded chunk.
     int64_t max_chunk_bytes = 0;
     /// Reads, encodes and stores.
@@ -58,6 +55,9 @@ class ProductLevels final : public core::LevelStore,
   ProductLevels(storage::Store& store, const storage::ReadSnapshot& snapshot,
                 storage::Scratch& scratch, const Options& options);
 
+  /// So much of new tiles and points of levels, decoded, is not put into
+  /// scratch files; to be called before Add, else it is none.
+  void KeepInMemory(int64_t bytes) { max_new_bytes_ = bytes; }
   /// Takes new tiles: clouds of MakeProductCloud in Morton order, at least a
   /// point each. Errors of storage; kCancelled.
   absl::Status Add(std::vector<TileCloud> clouds);
@@ -168,6 +168,7 @@ class ProductLevels final : public core::LevelStore,
       made_;
   /// Of Tile::points and made_.
   int64_t new_bytes_ = 0;
+  int64_t max_new_bytes_ = 0;
   std::vector<Pending> pending_;
   int64_t pending_bytes_ = 0;
   std::vector<int64_t> replaced_;
