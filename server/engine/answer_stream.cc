@@ -88,15 +88,19 @@ absl::Status AnswerSource::CheckRead(const ChunkRef& chunk,
 }
 
 absl::StatusOr<std::optional<std::vector<std::byte>>> AnswerStream::Next() {
-  // The first block does not wait for the points of the second one.
-  const size_t wanted = given_.point_count == 0 ? 1 : BlocksAhead();
-  while (coming_.size() < wanted && !is_ended_) {
+  // The first block does not wait for the points of the second one, and what
+  // is only read waits for its turn.
+  const size_t wanted =
+      given_.point_count == 0 || gave_stored_ ? 1 : BlocksAhead();
+  while (coming_.size() < wanted && !is_ended_ &&
+         (coming_.empty() || !coming_.back().is_stored)) {
     MAPSIEVE_RETURN_IF_ERROR(BeginBlock());
   }
   if (coming_.empty()) return std::nullopt;
   absl::StatusOr<Block> block = coming_.front().block.get();
   if (block.ok()) last_block_bytes_ = block->size();
   given_ = coming_.front().totals;
+  gave_stored_ = coming_.front().is_stored;
   coming_.pop_front();
   MAPSIEVE_RETURN_IF_ERROR(block.status());
   return *std::move(block);
@@ -131,6 +135,7 @@ absl::Status AnswerStream::BeginBlock() {
     std::promise<absl::StatusOr<Block>> ready;
     next.block = ready.get_future();
     ready.set_value(*std::move(stored));
+    next.is_stored = true;
   } else {
     is_ended_ = true;
     return absl::OkStatus();

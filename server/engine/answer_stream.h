@@ -100,9 +100,12 @@ class AnswerStream {
   using Block = std::vector<std::byte>;
 
   /// The next block; nothing after the last one. Blocks behind it are read and
-  /// encoded meanwhile, by other threads too. After an error the stream is of
-  /// no further use. Errors as QueryCursor::NextBatch.
+  /// encoded meanwhile, by other threads too, up to a stored chunk. After an
+  /// error the stream is of no further use. Errors as QueryCursor::NextBatch.
   absl::StatusOr<std::optional<Block>> Next();
+  /// Whether the last block was a chunk as it is stored: behind it no other was
+  /// begun.
+  bool gave_stored() const { return gave_stored_; }
 
   /// Passes over what Next would give, and returns whether that is anything.
   /// Before the first call of Next.
@@ -165,10 +168,12 @@ class AnswerStream {
   Totals taken_totals_;
   Totals given_;
   bool is_ended_ = false;
+  bool gave_stored_ = false;
   size_t last_block_bytes_ = 0;
-  /// A block being encoded, and the totals up to it.
+  /// A block being encoded or read, and the totals up to it.
   struct Coming {
     std::future<absl::StatusOr<Block>> block;
+    bool is_stored = false;
     Totals totals;
   };
   /// Last: it waits for what uses the rest.

@@ -191,6 +191,11 @@ class QueryCursor {
   /// points fit max_bytes, more than there is memory left to choose.
   virtual absl::StatusOr<std::optional<std::vector<std::byte>>> NextBatch() = 0;
 
+  /// Whether the last batch was a raw chunk as it is stored. Then nothing of
+  /// the answer waits in memory; else blocks of together up to half of
+  /// kMaxBatchBytes may.
+  virtual bool gave_stored_chunk() const = 0;
+
   /// Of the batches so far, those before a resume included; of the answer once
   /// NextBatch gave nothing.
   virtual QuerySummary summary() const = 0;

@@ -143,6 +143,10 @@ class RegionQuery final : public QueryCursor {
     return block;
   }
 
+  bool gave_stored_chunk() const override {
+    return stream_.has_value() && stream_->gave_stored();
+  }
+
   QuerySummary summary() const override {
     QuerySummary summary = {.block_bytes = block_bytes_,
                             .missing_chunk_count = missing_.count(),

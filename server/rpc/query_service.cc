@@ -16,9 +16,12 @@
 namespace mapsieve::rpc {
 namespace {
 
-// What several blocks of one message have at most: half of a batch costs little
-// speed, and two messages are kept for a client that reads slowly.
+// What several blocks of one message have at most. For a client that reads
+// slowly two messages are kept, a block that the second had no room for, and
+// what the cursor made ahead: together two batches.
 constexpr size_t kGatheredBytes = engine::kMaxBatchBytes / 2;
+// The same of stored chunks, of which the cursor has no other.
+constexpr size_t kGatheredStoredBytes = engine::kMaxBatchBytes / 8 * 7;
 
 // One call of QueryRegion: a header, batches, a summary.
 class QueryReactor final : public StreamReactor<grpc::ByteBuffer> {
@@ -76,13 +79,19 @@ class QueryReactor final : public StreamReactor<grpc::ByteBuffer> {
   absl::StatusOr<Blocks> NextBlocks() {
     Blocks blocks;
     size_t bytes = 0;
+    bool are_stored = true;
     while (true) {
       if (!ahead_.has_value()) {
         MAPSIEVE_ASSIGN_OR_RETURN(ahead_, cursor_->NextBatch());
         if (!ahead_.has_value()) return blocks;
       }
       bytes += ahead_->size();
-      if (!blocks.empty() && bytes > kGatheredBytes) return blocks;
+      // It is the cursor's last one.
+      are_stored = are_stored && cursor_->gave_stored_chunk();
+      if (!blocks.empty() &&
+          bytes > (are_stored ? kGatheredStoredBytes : kGatheredBytes)) {
+        return blocks;
+      }
       blocks.push_back(*std::exchange(ahead_, std::nullopt));
       resume_token_ = cursor_->resume_token();
       if (!std::exchange(gathers_, may_gather_)) return blocks;

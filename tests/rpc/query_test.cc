@@ -1,3 +1,5 @@
+#include "server/engine/query.h"
+
 #include <algorithm>
 #include <atomic>
 #include <chrono>
@@ -392,13 +394,17 @@ TEST_F(QueryServiceTest, BlocksTravelTogetherAndATokenIsBehindThemAll) {
   const std::vector<v1::PointBatch> batches = read();
   ASSERT_GE(batches.size(), 3u);
   size_t most = 0;
+  size_t largest = 0;
   for (const v1::PointBatch& batch : batches) {
-    EXPECT_LE(batch.block().size(), size_t{1} << 20);
+    // Of a batch stored chunks leave room for one that waits.
+    EXPECT_LE(batch.block().size(), engine::kMaxBatchBytes / 8 * 7);
+    largest = std::max(largest, batch.block().size());
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto blocks,
                                   core::SplitBlocks(TextBytes(batch.block())));
     most = std::max(most, blocks.size());
   }
   EXPECT_GT(most, 1u);
+  EXPECT_GT(largest, engine::kMaxBatchBytes / 2);
   // The first points do not wait for others.
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(
       const auto first, core::SplitBlocks(TextBytes(batches.front().block())));
