@@ -82,7 +82,8 @@ FilteredCloud Answer(std::vector<uint32_t> rows, size_t input_size,
   answer.summary.point_count = static_cast<int64_t>(input_size);
   answer.summary.survivor_count = static_cast<int64_t>(rows.size());
   answer.summary.label_counts[At(label)] = answer.summary.survivor_count;
-  answer.summary.max_confidence = core::UpdateMaxConfidence(answer.columns.All());
+  answer.summary.max_confidence =
+      core::UpdateMaxConfidence(answer.columns.All());
   answer.rows = std::move(rows);
   return answer;
 }
