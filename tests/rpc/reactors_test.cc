@@ -114,6 +114,7 @@ class CountingCursor : public engine::QueryCursor {
     ++counts_.made;
     return std::vector<std::byte>(engine::kMaxBatchBytes);
   }
+  bool gave_stored_chunk() const override { return false; }
   engine::QuerySummary summary() const override { return {}; }
   std::string resume_token() const override { return "token"; }
 
