@@ -8,6 +8,8 @@
 #include "core/base/bytes.h"
 #include "core/base/hash.h"
 #include "core/base/status.h"
+#include "google/protobuf/message.h"
+#include "google/protobuf/unknown_field_set.h"
 #include "server/rpc/convert.h"
 #include "server/rpc/status_adapter.h"
 
@@ -278,6 +280,13 @@ absl::StatusOr<engine::SyncSpec> ToSyncSpec(
 
 absl::StatusOr<std::optional<engine::RegionShape>> ToRegion(
     const v1::FinalizeUploadRequest& request) {
+  // A newer client's region may be of a kind that is not known here. Without it
+  // points would be added to those that they are to replace.
+  if (!request.GetReflection()->GetUnknownFields(request).empty()) {
+    return InvalidField("region",
+                        "or another field is of a kind that this server does "
+                        "not know; update the server");
+  }
   return RegionOf(request);
 }
 

@@ -18,7 +18,8 @@ absl::StatusOr<engine::QuerySpec> ToQuerySpec(
     const v1::QueryRegionRequest& request);
 absl::StatusOr<engine::SyncSpec> ToSyncSpec(
     const v1::SyncRegionRequest& request);
-/// The region of a request; nothing if it has none.
+/// The region of a request; nothing if it has none. kInvalidArgument also for a
+/// request with fields that are not known here.
 absl::StatusOr<std::optional<engine::RegionShape>> ToRegion(
     const v1::FinalizeUploadRequest& request);
 /// kInvalidArgument also for a request without a region.

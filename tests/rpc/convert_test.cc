@@ -6,6 +6,7 @@
 #include "core/base/bytes.h"
 #include "core/base/hash.h"
 #include "gmock/gmock.h"
+#include "google/protobuf/unknown_field_set.h"
 #include "gtest/gtest.h"
 #include "mapsieve/v1/processing_service.pb.h"
 #include "server/rpc/convert_query.h"
@@ -260,6 +261,17 @@ TEST(ToProto, ColumnNamesAreValidText) {
       "H?he");
   EXPECT_EQ(ToProto(core::ColumnSpec{"x", core::ScalarType::kFloat64}).type(),
             v1::SCALAR_TYPE_FLOAT64);
+}
+
+TEST(ToRegion, RefusesWhatANewerClientMayMean) {
+  v1::FinalizeUploadRequest request;
+  request.set_name("maps/campus/uploads/whole");
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto none, ToRegion(request));
+  EXPECT_FALSE(none.has_value());
+  // A kind of region that comes later has a number of its own.
+  request.GetReflection()->MutableUnknownFields(&request)->AddLengthDelimited(
+      100, "a cone");
+  EXPECT_THAT(ToRegion(request), StatusIs(kInvalid, HasSubstr("region")));
 }
 
 }  // namespace
