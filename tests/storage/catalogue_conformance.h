@@ -74,6 +74,15 @@ class CatalogueTest : public ::testing::TestWithParam<CatalogueImplementation> {
     EXPECT_THAT(upload, testing::IsOk());
     return upload.value_or(UploadRecord());
   }
+  /// Commits `change` as what the points of an active upload bring.
+  void Finalize(const MapRecord& map, int64_t parent,
+                const UploadRecord& upload, RevisionChange change = {}) {
+    EXPECT_THAT(catalogue_->SetUploadState(upload.uid, UploadState::kActive,
+                                           UploadState::kFinalizing, ""),
+                testing::IsOk());
+    change.finalized_upload_uid = upload.uid;
+    Commit(map, parent, change);
+  }
 
   TemporaryDirectory directory_;
   std::unique_ptr<Catalogue> catalogue_;

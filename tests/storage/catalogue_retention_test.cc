@@ -104,11 +104,7 @@ TEST_P(CatalogueTest, UploadsOfExpiredRevisionsAreKnown) {
   const MapRecord map = MakeMap("campus");
   const auto finalize = [&](const std::string& id, int64_t parent) {
     const UploadRecord upload = MakeUpload(map, id);
-    MAPSIEVE_EXPECT_OK(catalogue_->SetUploadState(
-        upload.uid, UploadState::kActive, UploadState::kFinalizing, ""));
-    RevisionChange change = Adding({Raw(id)});
-    change.finalized_upload_uid = upload.uid;
-    Commit(map, parent, change);
+    Finalize(map, parent, upload, Adding({Raw(id)}));
     return upload.uid;
   };
   const std::string a = finalize("a", 1);

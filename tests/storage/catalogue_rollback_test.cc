@@ -309,24 +309,16 @@ TEST_P(CatalogueTest, ARepeatedRollbackMakesNothing) {
 
 TEST_P(CatalogueTest, AnUploadThatWasRolledBackBeginsAnew) {
   const MapRecord map = MakeMap("campus");
-  const auto finalize = [&](const UploadRecord& upload, int64_t parent) {
-    EXPECT_THAT(catalogue_->SetUploadState(upload.uid, UploadState::kActive,
-                                           UploadState::kFinalizing, ""),
-                testing::IsOk());
-    RevisionChange change = Adding({});
-    change.finalized_upload_uid = upload.uid;
-    Commit(map, parent, change);
-  };
   const UploadRecord a = MakeUpload(map, "a");
-  finalize(a, 1);
+  Finalize(map, 1, a);
   const UploadRecord b = MakeUpload(map, "b");
-  finalize(b, 2);
+  Finalize(map, 2, b);
   MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 2).status());
   EXPECT_EQ(MakeUpload(map, "a").uid, a.uid);
   const UploadRecord again = MakeUpload(map, "b");
   EXPECT_NE(again.uid, b.uid);
   EXPECT_EQ(again.state, UploadState::kActive);
-  finalize(again, 4);
+  Finalize(map, 4, again);
   EXPECT_EQ(MakeUpload(map, "b").uid, again.uid);
   // Back to where the first one had brought the points in.
   MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 3).status());
@@ -340,12 +332,7 @@ TEST_P(CatalogueTest, AnUploadThatWasRolledBackBeginsAnew) {
 TEST_P(CatalogueTest, AnUploadBegunAnewEndsWhereARollbackBringsItsPoints) {
   const MapRecord map = MakeMap("campus");
   const UploadRecord upload = MakeUpload(map, "a");
-  MAPSIEVE_ASSERT_OK(catalogue_->SetUploadState(
-      upload.uid, UploadState::kActive, UploadState::kFinalizing, ""));
-  RevisionChange change = Adding({});
-  change.finalized_upload_uid = upload.uid;
-  change.upload_report = "report";
-  Commit(map, 1, change);
+  Finalize(map, 1, upload, {.upload_report = "report"});
   MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 1).status());
   const UploadRecord anew = MakeUpload(map, "a");
   EXPECT_EQ(anew.state, UploadState::kActive);
@@ -375,18 +362,10 @@ TEST_P(CatalogueTest, AForgottenUploadIsNotTakenForTheNextOneOfItsId) {
     EXPECT_THAT(upload, testing::IsOk());
     return upload.value_or(UploadRecord());
   };
-  const auto finalize = [&](const UploadRecord& upload, int64_t parent) {
-    EXPECT_THAT(catalogue_->SetUploadState(upload.uid, UploadState::kActive,
-                                           UploadState::kFinalizing, ""),
-                testing::IsOk());
-    RevisionChange change = Adding({});
-    change.finalized_upload_uid = upload.uid;
-    Commit(map, parent, change);
-  };
   const std::string first(32, '1');
   const std::string second(32, '2');
   const UploadRecord forgotten = make(first);
-  finalize(forgotten, 1);
+  Finalize(map, 1, forgotten);
   MAPSIEVE_ASSERT_OK(catalogue_->DeleteUpload(forgotten.uid));
 
   // The points of the first come back, those of the second were never added.
@@ -396,7 +375,7 @@ TEST_P(CatalogueTest, AForgottenUploadIsNotTakenForTheNextOneOfItsId) {
   EXPECT_EQ(catalogue_->GetUpload(map.uid, "a")->state, UploadState::kActive);
 
   // The points of the second go, those of the first stay.
-  finalize(next, 4);
+  Finalize(map, 4, next);
   MAPSIEVE_ASSERT_OK(catalogue_->RollBack(map.uid, 4).status());
   const UploadRecord again = make(second);
   EXPECT_EQ(again.state, UploadState::kActive);
@@ -410,11 +389,7 @@ TEST_P(CatalogueTest, AnUploadThatCameTwiceIsTheLaterOne) {
     const UploadRecord upload = MakeUpload(map, "a");
     EXPECT_NE(upload.uid, last);
     last = upload.uid;
-    MAPSIEVE_ASSERT_OK(catalogue_->SetUploadState(
-        upload.uid, UploadState::kActive, UploadState::kFinalizing, ""));
-    RevisionChange change = Adding({});
-    change.finalized_upload_uid = upload.uid;
-    Commit(map, parent, change);
+    Finalize(map, parent, upload);
     if (parent == 1) {
       MAPSIEVE_ASSERT_OK(catalogue_->DeleteUpload(upload.uid));
     }
