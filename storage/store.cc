@@ -120,7 +120,10 @@ absl::StatusOr<std::vector<TileSummary>> ReadSnapshot::ListTiles(
 
 absl::StatusOr<std::vector<std::byte>> ReadSnapshot::ReadChunk(
     const ChunkRef& chunk) const {
-  const auto size = store_.blobs_->Size(chunk.blob_id);
+  auto bytes = store_.blobs_->Get(chunk.blob_id);
+  const absl::StatusOr<int64_t> size = bytes.ok()
+                                           ? static_cast<int64_t>(bytes->size())
+                                           : store_.blobs_->Size(chunk.blob_id);
   if (absl::IsNotFound(size.status())) {
     return absl::DataLossError(absl::StrCat(Describe(chunk), ": expected ",
                                             chunk.stored_bytes,
@@ -132,7 +135,6 @@ absl::StatusOr<std::vector<std::byte>> ReadSnapshot::ReadChunk(
         absl::StrCat(Describe(chunk), ": expected ", chunk.stored_bytes,
                      " bytes, found the end of the file at offset ", *size));
   }
-  auto bytes = store_.blobs_->Get(chunk.blob_id);
   if (!bytes.ok()) return Annotate(bytes.status(), NameOf(chunk));
   return bytes;
 }

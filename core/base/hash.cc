@@ -5,6 +5,10 @@
 
 #include "absl/strings/str_format.h"
 #include "xxhash.h"
+#if defined(__x86_64__)
+// The widest vectors that the processor has.
+#include "xxh_x86dispatch.h"
+#endif
 
 namespace mapsieve {
 

@@ -93,15 +93,17 @@ absl::StatusOr<std::optional<std::vector<std::byte>>> AnswerStream::Next() {
   const size_t wanted =
       given_.point_count == 0 || gave_stored_ ? 1 : BlocksAhead();
   while (coming_.size() < wanted && !is_ended_ &&
-         (coming_.empty() || !coming_.back().is_stored)) {
+         (coming_.empty() || !coming_.back().stored.has_value())) {
     MAPSIEVE_RETURN_IF_ERROR(BeginBlock());
   }
   if (coming_.empty()) return std::nullopt;
-  absl::StatusOr<Block> block = coming_.front().block.get();
-  if (block.ok()) last_block_bytes_ = block->size();
-  given_ = coming_.front().totals;
-  gave_stored_ = coming_.front().is_stored;
+  Coming next = std::move(coming_.front());
   coming_.pop_front();
+  gave_stored_ = next.stored.has_value();
+  absl::StatusOr<Block> block =
+      gave_stored_ ? *std::move(next.stored) : next.encoded.get();
+  if (block.ok()) last_block_bytes_ = block->size();
+  given_ = next.totals;
   MAPSIEVE_RETURN_IF_ERROR(block.status());
   return *std::move(block);
 }
@@ -126,16 +128,13 @@ absl::Status AnswerStream::BeginBlock() {
     const core::EncodeOptions options = {
         .compression = source_.compression,
         .plan = plan_.has_value() ? &*plan_ : nullptr};
-    next.block = std::async(
+    next.encoded = std::async(
         std::launch::async,
         [options, points = std::move(points)]() -> absl::StatusOr<Block> {
           return core::EncodePoints(points, options);
         });
   } else if (auto stored = TakeStored(); stored.has_value()) {
-    std::promise<absl::StatusOr<Block>> ready;
-    next.block = ready.get_future();
-    ready.set_value(*std::move(stored));
-    next.is_stored = true;
+    next.stored = std::move(stored);
   } else {
     is_ended_ = true;
     return absl::OkStatus();

@@ -170,10 +170,10 @@ class AnswerStream {
   bool is_ended_ = false;
   bool gave_stored_ = false;
   size_t last_block_bytes_ = 0;
-  /// A block being encoded or read, and the totals up to it.
+  /// A block being encoded, or a stored chunk, and the totals up to it.
   struct Coming {
-    std::future<absl::StatusOr<Block>> block;
-    bool is_stored = false;
+    std::future<absl::StatusOr<Block>> encoded;
+    std::optional<Block> stored;
     Totals totals;
   };
   /// Last: it waits for what uses the rest.

@@ -1,5 +1,9 @@
 #include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <span>
 #include <stdexcept>
+#include <string>
 #include <vector>
 
 #include "core/base/bulk_vector.h"
@@ -52,6 +56,19 @@ TEST(ExecutionContext, ReportsAStopAsCancelled) {
 TEST(Hash, MatchesPublishedXxh3Values) {
   EXPECT_EQ(Hash64({}), 0x2d06800538d394c2u);
   EXPECT_EQ(ContentHash({}), "99aa06d3014798d86001c324468d497f");
+
+  // The bytes of xxHash's own tests, long enough for its vector code.
+  std::vector<std::byte> bytes(2367);
+  uint64_t state = 2654435761;
+  for (std::byte& byte : bytes) {
+    byte = static_cast<std::byte>(state >> 56);
+    state *= 11400714785074694797u;
+  }
+  const auto first = std::span(bytes).first(2048);
+  EXPECT_EQ(Hash64(first), 0xdd59e2c3a5f038e0u);
+  EXPECT_EQ(ContentHash(first), "f736557fd47073a5dd59e2c3a5f038e0");
+  EXPECT_EQ(Hash64(bytes), 0xcb37aeb9e5d361edu);
+  EXPECT_EQ(ContentHash(bytes), "e89c0f6ff369b427cb37aeb9e5d361ed");
 }
 
 TEST(Hash, ContentHasherDoesNotDependOnThePieces) {

@@ -38,7 +38,7 @@ LIBRARIES = {
     "spdlog": (("spdlog/",), ("spdlog::",)),
     "sqlite": (("sqlite3",), ("SQLite::", "PkgConfig::SQLITE")),
     "threads": ((), ("Threads::",)),
-    "xxhash": (("xxhash.h", "xxh3.h"), ("PkgConfig::XXHASH",)),
+    "xxhash": (("xxhash.h", "xxh3.h", "xxh_x86dispatch.h"), ("PkgConfig::XXHASH",)),
     "yaml": (("yaml-cpp/",), ("yaml-cpp",)),
     "zstd": (("zstd", "zdict.h"), ("PkgConfig::ZSTD",)),
 }
