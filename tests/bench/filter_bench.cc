@@ -184,6 +184,7 @@ void Bench(const char* program, const std::string& name,
   std::vector<double> quota_s;
   std::vector<double> count_s;
   std::vector<double> default_reach_s;
+  double default_reach_votes = 0;
   FilterRun run;
   double sum = 0;
   // The filter takes its input over; the copy is not its work.
@@ -198,18 +199,20 @@ void Bench(const char* program, const std::string& name,
     quota_s.push_back(filter_s(quota, InlineExecutor()));
     all_s.push_back(filter_s(options.spdf, *workers));
     default_reach_s.push_back(filter_s(default_reach, InlineExecutor()));
+    default_reach_votes = static_cast<double>(run.summary.vote_count);
     one_s.push_back(filter_s(options.spdf, InlineExecutor()));
   }
   if (!(sum > 0)) Fail(name + ": no neighbours");
   const double pass = Median(pass_s);
+  const auto votes = static_cast<double>(run.summary.vote_count);
   std::printf(
-      "| %s | %lld | %.3f | %.3f | %.2f | %.2f | %.1f | %.2f | %.2f | %.2f | "
-      "%.0f | "
-      "%lld | %zu |\n",
+      "| %s | %lld | %.3f | %.3f | %.2f | %.2f | %+.1f | %+.1f | %.1f | %.2f | "
+      "%.2f | %.2f | %.0f | %lld | %zu |\n",
       name.substr(name.rfind('/') + 1).c_str(),
       static_cast<long long>(run.summary.point_count), pass, Median(one_s),
       Median(one_s) / pass, Median(default_reach_s) / pass,
-      Median(one_s) / static_cast<double>(run.summary.vote_count) * 1e9,
+      (Median(default_reach_s) / Median(one_s) - 1) * 100,
+      (default_reach_votes / votes - 1) * 100, Median(one_s) / votes * 1e9,
       Median(one_s) / Median(all_s), Median(quota_s) / pass,
       Median(count_s) / pass, PeakBytesPerPoint(program, name, options),
       static_cast<long long>(run.summary.survivor_count), run.inliers);
@@ -275,10 +278,10 @@ int main(int argc, char** argv) {
   }
   std::printf(
       "| cloud | distinct points | nanoflann pass s | filter s | ratio | "
-      "default reach: ratio | ns per vote | %d threads: times faster | quota: "
-      "ratio | "
+      "default reach: ratio | %% more time | %% more votes | ns per vote | "
+      "%d threads: times faster | quota: ratio | "
       "its counting pass | peak bytes/point | after rounds | after outliers "
-      "|\n|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+      "|\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
       options.threads);
   for (const std::string& cloud : options.clouds) {
     Bench(argv[0], cloud, options);
