@@ -4,8 +4,10 @@
 #include <sys/file.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <charconv>
+#include <cmath>
 #include <fstream>
 #include <string_view>
 #include <system_error>
@@ -61,16 +63,23 @@ absl::Status WriteText(const fs::path& path, std::string_view text) {
   return file->Finish();
 }
 
+/// The loader takes whole corners alone: they are rounded down, and cells are
+/// as much wider as their tiles need.
 std::string MetadataOf(const SyncWindow& window) {
-  std::string text =
-      absl::StrFormat("x_resolution: %.12g\ny_resolution: %.12g\n",
-                      window.tile_edge, window.tile_edge);
+  std::string corners;
+  double most_off_x = 0;
+  double most_off_y = 0;
   for (const HeldChunk& chunk : window.chunks) {
     if (chunk.file.empty()) continue;
-    absl::StrAppendFormat(&text, "%s: [%.12g, %.12g]\n", chunk.file,
-                          chunk.corner.x, chunk.corner.y);
+    const double x = std::floor(chunk.corner.x);
+    const double y = std::floor(chunk.corner.y);
+    most_off_x = std::max(most_off_x, chunk.corner.x - x);
+    most_off_y = std::max(most_off_y, chunk.corner.y - y);
+    absl::StrAppendFormat(&corners, "%s: [%.0f, %.0f]\n", chunk.file, x, y);
   }
-  return text;
+  return absl::StrFormat("x_resolution: %.12g\ny_resolution: %.12g\n%s",
+                         window.tile_edge + most_off_x,
+                         window.tile_edge + most_off_y, corners);
 }
 
 std::string DescriptionOf(const SyncWindow& window) {

@@ -13,7 +13,7 @@ import sys
 import tempfile
 import unittest
 
-from programs import Server, answer_of, mapsieve
+from programs import ServedTest, Server, answer_of, mapsieve
 
 TILE = 4.096
 RADIUS = 5.0
@@ -33,7 +33,8 @@ def points_of_pcd(path):
 
 
 def metadata_of(window):
-    """Cell size, and the lower corner of each file."""
+    """Cell size, and the lower corner of each file, which is whole: Autoware's
+    map loader reads it as integers."""
     entries = {}
     for line in (window / "pointcloud_map_metadata.yaml").read_text(
             ).splitlines():
@@ -41,7 +42,7 @@ def metadata_of(window):
         entries[name] = value
     size = (float(entries.pop("x_resolution")),
             float(entries.pop("y_resolution")))
-    return size, {name: tuple(map(float, value.strip("[]").split(", ")))
+    return size, {name: tuple(map(int, value.strip("[]").split(", ")))
                   for name, value in entries.items()}
 
 
@@ -77,7 +78,6 @@ class Sync(unittest.TestCase):
         origin = origin or self.origin
         window = self.window()
         size, corners = metadata_of(window)
-        self.assertEqual(size, (TILE, TILE))
         self.assertEqual(sorted(corners),
                          sorted(path.name for path in window.glob("*.pcd")))
         answer = self.work / "all.csv"
@@ -91,13 +91,17 @@ class Sync(unittest.TestCase):
             by_tile.setdefault(tile, []).append(p)
 
         tiles = set()
+        # How far a tile reaches beyond its cell, along x and y.
+        beyond = []
         for name, corner in corners.items():
             tile = name.split("-")
             tile = "-".join(tile[:-1])
             tiles.add(tile)
             x, y, _ = map(int, tile.split("_"))
-            self.assertAlmostEqual(corner[0], x * TILE - origin[0], places=6)
-            self.assertAlmostEqual(corner[1], y * TILE - origin[1], places=6)
+            begin = (x * TILE - origin[0], y * TILE - origin[1])
+            self.assertEqual(corner, tuple(map(math.floor, begin)))
+            beyond.append([b + TILE - (c + edge)
+                           for b, c, edge in zip(begin, corner, size)])
             found = sorted(points_of_pcd(window / name))
             expected = sorted(tuple(c - o for c, o in zip(p, origin))
                               for p in by_tile[tile])
@@ -105,6 +109,8 @@ class Sync(unittest.TestCase):
             for a, b in zip(found, expected):
                 for u, v in zip(a, b):
                     self.assertAlmostEqual(u, v, places=4)
+        for of_axis in zip(*beyond):
+            self.assertAlmostEqual(max(of_axis), 0, places=6)
         for tile, inside in by_tile.items():
             if any(math.dist(p, around[:3]) <= around[3] for p in inside):
                 self.assertIn(tile, tiles)
@@ -212,6 +218,25 @@ class Sync(unittest.TestCase):
                                          *self.around)
         self.assertEqual(result.returncode, 1, result.stdout)
         self.assertIn(message, result.stderr)
+
+
+class SyncOfWholeTiles(ServedTest):
+    def test_has_cells_that_are_the_tiles(self):
+        scan = self.work / "scan.las"
+        mapsieve("simulate", scan, "--points", 20000)
+        self.mapsieve("create", "map", "--step", 2**-9, "--tile-edge", 16)
+        bounds = self.mapsieve("upload", "map", scan)["files"][0]["bounds"]
+        self.mapsieve("process", "map", "--rho", 0.4)
+        origin = [math.floor((a + b) / 2)
+                  for a, b in zip(bounds["min"], bounds["max"])]
+        self.mapsieve("sync", "map", self.work / "window", "--around",
+                      *origin, 50, "--origin", *origin)
+        size, corners = metadata_of(self.work / "window" / "current")
+        self.assertEqual(size, (16, 16))
+        self.assertGreater(len(corners), 3)
+        for name, corner in corners.items():
+            x, y = map(int, name.split("_")[:2])
+            self.assertEqual(corner, (16 * x - origin[0], 16 * y - origin[1]))
 
 
 if __name__ == "__main__":
