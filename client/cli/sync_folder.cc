@@ -77,7 +77,7 @@ std::string MetadataOf(const SyncWindow& window) {
     most_off_y = std::max(most_off_y, chunk.corner.y - y);
     absl::StrAppendFormat(&corners, "%s: [%.0f, %.0f]\n", chunk.file, x, y);
   }
-  return absl::StrFormat("x_resolution: %.12g\ny_resolution: %.12g\n%s",
+  return absl::StrFormat("x_resolution: %.9g\ny_resolution: %.9g\n%s",
                          window.tile_edge + most_off_x,
                          window.tile_edge + most_off_y, corners);
 }
