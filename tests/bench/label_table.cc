@@ -4,7 +4,7 @@
 //                            files; without it these clouds are left out
 //   label_table --held-out [K]   the first table alone, of clouds that no
 //                            criterion was chosen on; K neighbours instead of
-//                            50
+//                            50; and what principal axes say of the same points
 // A point counts if its ball of the density radius holds at least k others in
 // the input: there the density reaches the one aimed at.
 #include <algorithm>
@@ -22,11 +22,14 @@
 #include "absl/status/statusor.h"
 #include "client/lab/ball_counter.h"
 #include "core/base/status.h"
+#include "core/geometry/vector3.h"
+#include "core/registration/kd_tree.h"
 #include "core/spdf/cloud_filter.h"
 #include "tests/bench/known_clouds.h"
 #include "tests/testing/clouds.h"
 #include "tests/testing/ideal_shape.h"
 #include "tests/testing/normal_error.h"
+#include "tests/testing/symmetric3.h"
 
 namespace mapsieve::bench {
 namespace {
@@ -64,11 +67,14 @@ int64_t Sum(const LabelCounts& counts) {
 struct Outcome {
   LabelCounts before{};
   LabelCounts after{};
+  /// What the axes of their neighbours say.
+  LabelCounts by_axes{};
 
   void Add(const Outcome& other) {
     for (size_t i = 0; i < before.size(); ++i) {
       before[i] += other.before[i];
       after[i] += other.after[i];
+      by_axes[i] += other.by_axes[i];
     }
   }
 };
@@ -97,8 +103,60 @@ std::vector<int64_t> CountOthers(const client::BallCounter& input,
   return counts;
 }
 
+/// The label by the largest difference of the standard deviations along the
+/// principal axes of `points` (Demantké et al. 2011, "Dimensionality based
+/// scale selection in 3D lidar point clouds"). A vote takes the directions of
+/// the neighbours, this their positions.
+Label LabelByAxes(std::span<const core::Vector3> points) {
+  core::Vector3 mean{};
+  for (const core::Vector3& p : points) {
+    for (size_t a = 0; a < 3; ++a) {
+      mean[a] += p[a] / static_cast<double>(points.size());
+    }
+  }
+  testing::Symmetric3 moments;
+  for (const core::Vector3& p : points) {
+    const double x = p[0] - mean[0];
+    const double y = p[1] - mean[1];
+    const double z = p[2] - mean[2];
+    moments.xx += x * x;
+    moments.xy += x * y;
+    moments.xz += x * z;
+    moments.yy += y * y;
+    moments.yz += y * z;
+    moments.zz += z * z;
+  }
+  std::array<double, 3> deviation = testing::Decompose(moments).values;
+  for (double& d : deviation) d = std::sqrt(std::max(d, 0.0));
+  const double curve = deviation[0] - deviation[1];
+  const double surface = deviation[1] - deviation[2];
+  if (curve >= std::max(surface, deviation[2])) return Label::kCurve;
+  return surface >= deviation[2] ? Label::kSurface : Label::kJunction;
+}
+
+/// LabelByAxes of each survivor and the 31 nearest to it.
+std::vector<Label> LabelsByAxes(const core::LatticeCloud& cloud,
+                                const core::FilteredCloud& filtered) {
+  std::vector<core::Vector3> positions;
+  for (const uint32_t row : filtered.rows) {
+    const core::Point3 p = cloud.lattice.Position(cloud.positions[row]);
+    positions.push_back({p.x, p.y, p.z});
+  }
+  const core::KdTree tree(positions);
+  std::vector<Label> labels;
+  for (const core::Vector3& p : positions) {
+    std::array<core::KdTree::Neighbor, 32> found;
+    const size_t count = tree.FindNearest(p, found);
+    std::vector<core::Vector3> near;
+    for (size_t i = 0; i < count; ++i) near.push_back(positions[found[i].row]);
+    labels.push_back(LabelByAxes(near));
+  }
+  return labels;
+}
+
+/// `with_axes`: by axes too, of quota's survivors.
 absl::StatusOr<CloudResult> Evaluate(const KnownCloud& known,
-                                     int neighbor_count) {
+                                     int neighbor_count, bool with_axes) {
   CloudResult result{.name = known.name, .kinds = known.kinds};
   const client::BallCounter input(known.cloud.positions);
   std::map<double, std::vector<int64_t>> others_of_radius;
@@ -118,17 +176,22 @@ absl::StatusOr<CloudResult> Evaluate(const KnownCloud& known,
                                 core::FilterCloud(known.cloud, options));
       RuleOutcome& outcome = result.outcomes[s][rule];
       outcome.resize(known.kinds.size());
-      const auto count = [&](uint32_t i, LabelCounts Outcome::*when) {
+      const auto count = [&](uint32_t i, Label label,
+                             LabelCounts Outcome::*counts) {
         const uint32_t row = filtered.rows[i];
         if (others[row] < options.neighbor_count) return;
-        const auto label = static_cast<size_t>(filtered.columns.label[i]);
-        ++(outcome[known.kind_of[row]].*when)[label];
+        ++(outcome[known.kind_of[row]].*counts)[static_cast<size_t>(label)];
       };
+      std::vector<Label> by_axes;
+      if (with_axes && options.rule == DensityRule::kQuota) {
+        by_axes = LabelsByAxes(known.cloud, filtered);
+      }
       for (uint32_t i = 0; i < filtered.rows.size(); ++i) {
-        count(i, &Outcome::before);
+        count(i, filtered.columns.label[i], &Outcome::before);
+        if (!by_axes.empty()) count(i, by_axes[i], &Outcome::by_axes);
       }
       for (const uint32_t i : filtered.Inliers(options.outlier_share)) {
-        count(i, &Outcome::after);
+        count(i, filtered.columns.label[i], &Outcome::after);
       }
     }
   }
@@ -360,7 +423,8 @@ struct Simulated {
   std::vector<CloudResult> yard;
 };
 
-absl::StatusOr<Simulated> EvaluateSimulated(Scenes scenes, int neighbor_count) {
+absl::StatusOr<Simulated> EvaluateSimulated(Scenes scenes, int neighbor_count,
+                                            bool with_axes) {
   Simulated results;
   for (const double noise : {0.0, 0.012, 0.02}) {
     std::array<char, 32> suffix;
@@ -368,11 +432,11 @@ absl::StatusOr<Simulated> EvaluateSimulated(Scenes scenes, int neighbor_count) {
     MAPSIEVE_ASSIGN_OR_RETURN(KnownCloud known, CampusCloud(scenes, noise));
     known.name += suffix.data();
     MAPSIEVE_ASSIGN_OR_RETURN(results.campus.emplace_back(),
-                              Evaluate(known, neighbor_count));
+                              Evaluate(known, neighbor_count, with_axes));
     MAPSIEVE_ASSIGN_OR_RETURN(known, YardCloud(scenes, noise));
     known.name += suffix.data();
     MAPSIEVE_ASSIGN_OR_RETURN(results.yard.emplace_back(),
-                              Evaluate(known, neighbor_count));
+                              Evaluate(known, neighbor_count, with_axes));
   }
   return results;
 }
@@ -389,11 +453,41 @@ void PrintDeserved(const Simulated& simulated,
   for (const CloudResult& result : references) PrintBar(result.name, {result});
 }
 
+/// What the axes say, of the survivors that quota has with the default sigma.
+void PrintAxes(const std::string& name,
+               const std::vector<CloudResult>& results) {
+  for (size_t s = 0; s < kSettings.size(); ++s) {
+    const auto [rho, sigma] = kSettings[s];
+    if (sigma != core::SpdfOptions().vote_scale_m2) continue;
+    std::string row;
+    bool is_empty = true;
+    for (const Label expected : {Label::kSurface, Label::kCurve}) {
+      std::string shares;
+      for (const CloudResult& result : results) {
+        const Outcome outcome =
+            OfExpected(result, result.outcomes[s][1], expected, rho);
+        const std::string share = Share(outcome.by_axes, expected);
+        shares += (shares.empty() ? " " : " / ") + share;
+        is_empty &= share == "-";
+      }
+      row += shares + " |";
+    }
+    if (is_empty) continue;
+    std::printf("| %s | %.1f |%s\n", name.c_str(), rho, row.c_str());
+  }
+}
+
 absl::Status PrintHeldOut(int neighbor_count) {
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Simulated simulated,
-      EvaluateSimulated(Scenes::kHeldOut, neighbor_count));
+      EvaluateSimulated(Scenes::kHeldOut, neighbor_count, true));
   PrintDeserved(simulated, {});
+  std::printf(
+      "\n## By principal axes\n\nThe same points before the outlier test, by "
+      "the principal axes of the 32 nearest survivors, %%.\n\n"
+      "| cloud | rho, m | surfaces | posts |\n|---|---|---|---|\n");
+  PrintAxes("campus", simulated.campus);
+  PrintAxes("yard", simulated.yard);
   return absl::OkStatus();
 }
 
@@ -409,12 +503,12 @@ absl::Status PrintTables(const std::string& reference_folder) {
       MAPSIEVE_ASSIGN_OR_RETURN(const KnownCloud known,
                                 ReferenceCloud(reference_folder + file, split));
       MAPSIEVE_ASSIGN_OR_RETURN(references.emplace_back(),
-                                Evaluate(known, kNeighborCount));
+                                Evaluate(known, kNeighborCount, false));
     }
   }
   MAPSIEVE_ASSIGN_OR_RETURN(
       const Simulated simulated,
-      EvaluateSimulated(Scenes::kChosenOn, kNeighborCount));
+      EvaluateSimulated(Scenes::kChosenOn, kNeighborCount, false));
   PrintDeserved(simulated, references);
 
   std::printf(
