@@ -137,6 +137,13 @@ absl::StatusOr<Json> Process(MapClient& client, const std::string& map,
     ProgressBar bar("process " + map, "tiles");
     report = client.WaitForProcess(operation, Show(bar));
   }
+  if (absl::IsUnavailable(report.status())) {
+    std::fprintf(
+        stderr,
+        "mapsieve: hint: if the server went away, it goes on with this "
+        "once it is back; mapsieve operation %s waits for it\n",
+        operation.c_str());
+  }
   MAPSIEVE_RETURN_IF_ERROR(report.status());
   if (report->outlier_count > 9 * report->point_count) {
     std::fprintf(stderr,

@@ -5,11 +5,14 @@ usage: edits_test.py BIN_DIR
 """
 
 import csv
+import pathlib
+import re
 import signal
+import subprocess
 import sys
 import unittest
 
-from programs import ServedTest, mapsieve, run_command
+from programs import BIN, ServedTest, mapsieve, run_command
 
 STEP = 0.001
 
@@ -26,6 +29,10 @@ class Edits(ServedTest):
         middle = sorted(cls.points, key=lambda p: float(p[0]))[20000]
         cls.center = [float(v) for v in middle[:3]]
         cls.radius = 12.0
+
+    def processor_ticks(self):
+        stat = pathlib.Path(f"/proc/{self.server.process.pid}/stat")
+        return sum(map(int, stat.read_text().split()[13:15]))
 
     def fails(self, *arguments, status=1, message=""):
         result = self.server.run_command(*arguments)
@@ -189,6 +196,28 @@ class Edits(ServedTest):
         self.mapsieve("rollback", "strict", "--to", 1)
         report, = self.mapsieve("upload", "strict", files[1])["files"]
         self.assertEqual(report["added_point_count"], 1)
+
+    def test_who_waits_when_the_server_dies_is_told_how_to_wait_on(self):
+        source = self.work / "long.las"
+        self.mapsieve("simulate", source, "--points", 1000000)
+        self.mapsieve("create", "long")
+        self.mapsieve("upload", "long", source)
+        before = self.processor_ticks()
+        with subprocess.Popen(
+                [BIN / "mapsieve", "--server", self.server.address, "process",
+                 "long", "--rho", "0.1"],
+                stderr=subprocess.PIPE, text=True) as waiting:
+            while self.processor_ticks() < before + 20:
+                self.assertIsNone(waiting.poll(), "ended before it was seen")
+            self.server.stop(signal.SIGKILL)
+            messages = waiting.stderr.read()
+        self.assertEqual(waiting.returncode, 1, messages)
+        hint = re.search(r"mapsieve operation (\w+) waits", messages)
+        self.assertIsNotNone(hint, messages)
+        self.server.start()
+        ended = self.mapsieve("operation", hint[1])
+        self.assertEqual(ended["state"], "succeeded")
+        self.assertEqual(self.mapsieve("info", "long")["stale_tile_count"], 0)
 
     def test_an_operation_is_waited_for_or_cancelled(self):
         self.mapsieve("create", "busy")
