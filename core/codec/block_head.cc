@@ -1,8 +1,9 @@
 #include "core/codec/block_head.h"
 
 #include <algorithm>
-#include <set>
 #include <string>
+#include <string_view>
+#include <vector>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_format.h"
@@ -150,9 +151,11 @@ absl::StatusOr<ColumnEntry> TakeEntry(ByteReader& reader, uint16_t version,
       static_cast<int64_t>(entry.spec.name.size())));
   MAPSIEVE_RETURN_IF_ERROR(CheckRange("flags", 0, kMissingFlag, flags));
   entry.has_missing = flags == kMissingFlag;
-  MAPSIEVE_RETURN_IF_ERROR(Annotate(
-      CheckEntry(entry, version, point_count),
-      absl::StrCat("point block, column ", QuotedName(entry.spec.name))));
+  const absl::Status status = CheckEntry(entry, version, point_count);
+  if (!status.ok()) {
+    return Annotate(status, absl::StrCat("point block, column ",
+                                         QuotedName(entry.spec.name)));
+  }
   return entry;
 }
 
@@ -174,15 +177,15 @@ absl::Status CheckPositionColumns(const std::vector<ColumnEntry>& columns) {
 }
 
 absl::Status CheckNamesDiffer(std::span<const ColumnEntry> attributes) {
-  std::set<std::string_view> names;
-  for (const ColumnEntry& entry : attributes) {
-    if (!names.insert(entry.spec.name).second) {
-      return absl::DataLossError(
-          absl::StrCat("point block: two attributes are named ",
-                       QuotedName(entry.spec.name)));
-    }
-  }
-  return absl::OkStatus();
+  std::vector<std::string_view> names;
+  names.reserve(attributes.size());
+  for (const ColumnEntry& entry : attributes) names.push_back(entry.spec.name);
+  std::sort(names.begin(), names.end());
+  const auto twice = std::adjacent_find(names.begin(), names.end());
+  if (twice == names.end()) return absl::OkStatus();
+  return absl::DataLossError(
+      absl::StrCat("point block: two attributes are named ",
+                   QuotedName(std::string(*twice))));
 }
 
 absl::Status CheckLengths(const BlockHead& head) {
@@ -326,6 +329,7 @@ absl::StatusOr<BlockHead> ReadBlockHead(std::span<const std::byte> bytes) {
   MAPSIEVE_ASSIGN_OR_RETURN(head.min, TakePoint(reader, "min"));
   MAPSIEVE_ASSIGN_OR_RETURN(head.max, TakePoint(reader, "max"));
   MAPSIEVE_RETURN_IF_ERROR(CheckBounds(head));
+  head.columns.reserve(column_count);
   for (size_t i = 0; i < column_count; ++i) {
     MAPSIEVE_ASSIGN_OR_RETURN(ColumnEntry entry,
                               TakeEntry(reader, version, head.point_count));
