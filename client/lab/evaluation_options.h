@@ -18,7 +18,8 @@ enum class SpatialVariant : uint8_t {
   kPaper = 1,
   /// With CellSplit::kWidest and an ideal_share of kRegistrationIdealShare.
   kWide,
-  /// With CellSplit::kMidway, Representative::kSurest and the same share.
+  /// With CellSplit::kMidway, Representative::kSurest and the same share, which
+  /// simulated pairs of numbers 100 to 159 chose.
   kSurest,
 };
 
