@@ -126,9 +126,9 @@ Json SummaryJson(const Summaries& summaries, const NeededTable& needed,
 
 // Figures ---------------------------------------------------------------------
 
-constexpr std::array<std::string_view, 12> kColors = {
-    "#8a8d94", "#e69f00", "#009e73", "#56b4e9", "#000000", "#cc79a7",
-    "#a6761d", "#d55e00", "#0072b2", "#f4a582", "#92c5de", "#7b3294"};
+constexpr std::array<std::string_view, 13> kColors = {
+    "#8a8d94", "#e69f00", "#009e73", "#56b4e9", "#000000", "#cc79a7", "#a6761d",
+    "#d55e00", "#0072b2", "#f4a582", "#92c5de", "#7b3294", "#e7298a"};
 
 /// What a panel shows of a method at a count: a value and how far it reaches.
 struct Mark {

@@ -539,11 +539,12 @@ void AddSamplerOptions(CLI::App& command, core::SamplerOptions& sampler) {
   AddChoice(command, "--cell-split",
             std::map<std::string, core::CellSplit>{
                 {"fullest", core::CellSplit::kFullest},
+                {"midway", core::CellSplit::kMidway},
                 {"widest", core::CellSplit::kWidest}},
             sampler.cell_split,
             "Of spatial-spdf, which cell is divided next: fullest (default, "
-            "the paper's) or widest, which counts points times the square of "
-            "the cell's edge and gives far places more: better for "
+            "the paper's), midway, which counts points times the cell's edge, "
+            "or widest, times its square; far places get more: better for "
             "registration");
   command.add_option("--ideal-share", sampler.ideal_share,
                      "Of spatial-spdf, in place of --outlier-share: share of "
@@ -557,10 +558,13 @@ void AddSamplerOptions(CLI::App& command, core::SamplerOptions& sampler) {
           {"random", core::Representative::kRandom},
           {"centroid", core::Representative::kCentroid},
           {"medoid", core::Representative::kNearest},
-          {"nearest", core::Representative::kNearest}},
+          {"nearest", core::Representative::kNearest},
+          {"surest", core::Representative::kSurest}},
       sampler.representative,
       "Of a cell, default: octree first, voxel centroid, ss-normal and "
-      "spatial-spdf nearest (to the centroid), which is the medoid");
+      "spatial-spdf nearest (to the centroid), which is the medoid. Of "
+      "spatial-spdf too surest: the nearest of the quarter with the largest "
+      "confidences, better for registration");
   command
       .add_flag_callback(
           "--centroids",

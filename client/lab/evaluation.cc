@@ -199,9 +199,13 @@ absl::StatusOr<SampledScan> SampleScan(const VotedScan& scan,
   if (method.sampler == SampleMethod::kSpatialSpdf) {
     sampler.spdf.density_radius_m = kSpatialDensityRadius;
   }
-  if (method.is_wide) {
+  if (method.variant != SpatialVariant::kPaper) {
+    sampler.ideal_share = kRegistrationIdealShare;
     sampler.cell_split = core::CellSplit::kWidest;
-    sampler.ideal_share = kWideIdealShare;
+  }
+  if (method.variant == SpatialVariant::kSurest) {
+    sampler.cell_split = core::CellSplit::kMidway;
+    sampler.representative = core::Representative::kSurest;
   }
   SampledScan result;
   MAPSIEVE_ASSIGN_OR_RETURN(const core::CloudSample sample,

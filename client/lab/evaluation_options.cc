@@ -29,7 +29,8 @@ bool HasRepeats(const std::vector<T>& values) {
 std::string EvaluatedMethod::name() const {
   std::string name(core::SampleMethodName(sampler));
   if (rule == DensityRule::kQuota) name += "-quota";
-  if (is_wide) name += "-wide";
+  if (variant == SpatialVariant::kWide) name += "-wide";
+  if (variant == SpatialVariant::kSurest) name += "-surest";
   return name;
 }
 
@@ -39,8 +40,12 @@ std::vector<EvaluatedMethod> EvaluatedMethods() {
     methods.push_back({sampler});
   }
   methods.push_back({SampleMethod::kSpdf, DensityRule::kQuota});
-  methods.push_back({SampleMethod::kSpatialSpdf, DensityRule::kQuota});
-  methods.push_back({SampleMethod::kSpatialSpdf, DensityRule::kQuota, true});
+  for (const SpatialVariant variant :
+       {SpatialVariant::kPaper, SpatialVariant::kWide,
+        SpatialVariant::kSurest}) {
+    methods.push_back(
+        {SampleMethod::kSpatialSpdf, DensityRule::kQuota, variant});
+  }
   return methods;
 }
 

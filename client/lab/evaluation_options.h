@@ -12,15 +12,26 @@
 
 namespace mapsieve::client {
 
+/// How kSpatialSpdf chooses.
+enum class SpatialVariant : uint8_t {
+  /// As the paper says.
+  kPaper = 1,
+  /// With CellSplit::kWidest and an ideal_share of kRegistrationIdealShare.
+  kWide,
+  /// With CellSplit::kMidway, Representative::kSurest and the same share, which
+  /// simulated pairs of numbers 100 to 159 chose.
+  kSurest,
+};
+
 /// A sampler as it is compared: those with a density rule once with each.
 struct EvaluatedMethod {
   core::SampleMethod sampler = core::SampleMethod::kRandom;
   core::DensityRule rule = core::DensityRule::kPaper;
-  /// Of kSpatialSpdf: with CellSplit::kWidest and an ideal_share of
-  /// kWideIdealShare, in place of what the paper says.
-  bool is_wide = false;
+  /// Of kSpatialSpdf.
+  SpatialVariant variant = SpatialVariant::kPaper;
 
-  /// The sampler's name, after it "-quota" for that rule, then "-wide".
+  /// The sampler's name, after it "-quota" for that rule, then "-wide" or
+  /// "-surest".
   std::string name() const;
 
   friend bool operator==(const EvaluatedMethod&,
@@ -29,10 +40,10 @@ struct EvaluatedMethod {
 
 /// Chosen by registrations of simulated pairs of numbers 15 to 33, which an
 /// evaluation of the default size has none of.
-inline constexpr double kWideIdealShare = 0.02;
+inline constexpr double kRegistrationIdealShare = 0.02;
 
-/// The paper's nine, then spdf and spatial-spdf with the rule quota, then that
-/// with is_wide.
+/// The paper's nine, then spdf and spatial-spdf with the rule quota, then the
+/// variants of that.
 std::vector<EvaluatedMethod> EvaluatedMethods();
 
 /// "point-to-plane", "plane-to-plane".

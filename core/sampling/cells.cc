@@ -30,8 +30,10 @@ uint32_t SmallestBy(std::span<const LatticePoint> positions,
   return best_row;
 }
 
+/// Of `candidates`, some of `rows`, the one nearest to the mean of all.
 Choice Nearest(std::span<const LatticePoint> positions,
-               std::span<const uint32_t> rows) {
+               std::span<const uint32_t> rows,
+               std::span<const uint32_t> candidates) {
   const LatticePoint& corner = positions[rows[0]];
   const auto relative = [&](uint32_t row) {
     const LatticePoint& q = positions[row];
@@ -48,7 +50,7 @@ Choice Nearest(std::span<const LatticePoint> positions,
   }
   const auto count = static_cast<double>(rows.size());
   mean = {mean.x / count, mean.y / count, mean.z / count};
-  const uint32_t row = SmallestBy(positions, rows, [&](uint32_t r) {
+  const uint32_t row = SmallestBy(positions, candidates, [&](uint32_t r) {
     const Point3 p = relative(r);
     const double dx = p.x - mean.x;
     const double dy = p.y - mean.y;
@@ -61,12 +63,27 @@ Choice Nearest(std::span<const LatticePoint> positions,
            static_cast<double>(corner.z) + mean.z}};
 }
 
+std::vector<uint32_t> Surest(std::span<const uint16_t> confidences,
+                             std::span<const uint32_t> rows) {
+  std::vector<uint16_t> values;
+  values.reserve(rows.size());
+  for (const uint32_t row : rows) values.push_back(confidences[row]);
+  const auto least =
+      values.begin() + static_cast<ptrdiff_t>(3 * values.size() / 4);
+  std::nth_element(values.begin(), least, values.end());
+  std::vector<uint32_t> surest;
+  for (const uint32_t row : rows) {
+    if (confidences[row] >= *least) surest.push_back(row);
+  }
+  return surest;
+}
+
 }  // namespace
 
 absl::StatusOr<CellSample> RepresentCells(
     std::span<const LatticePoint> positions, std::span<const uint32_t> order,
     std::span<const CellRange> cells, Representative kind, int64_t seed,
-    const ExecutionContext& context) {
+    const ExecutionContext& context, std::span<const uint16_t> confidences) {
   constexpr size_t kTaskCells = 4096;
   std::vector<Choice> choices(cells.size());
   ForEachPart(
@@ -86,7 +103,10 @@ absl::StatusOr<CellSample> RepresentCells(
               break;
             case Representative::kCentroid:
             case Representative::kNearest:
-              choices[i] = Nearest(positions, rows);
+              choices[i] = Nearest(positions, rows, rows);
+              break;
+            case Representative::kSurest:
+              choices[i] = Nearest(positions, rows, Surest(confidences, rows));
               break;
           }
         }
@@ -95,7 +115,7 @@ absl::StatusOr<CellSample> RepresentCells(
   std::sort(choices.begin(), choices.end(),
             [](const Choice& a, const Choice& b) { return a.row < b.row; });
   const bool has_centroids =
-      kind == Representative::kCentroid || kind == Representative::kNearest;
+      kind != Representative::kFirst && kind != Representative::kRandom;
   CellSample sample;
   sample.rows.reserve(choices.size());
   if (has_centroids) sample.centroids.reserve(choices.size());

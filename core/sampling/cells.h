@@ -41,6 +41,10 @@ enum class Representative : uint8_t {
   /// The point nearest to the mean. It has the smallest sum of squared
   /// distances to the others: it is their medoid.
   kNearest,
+  /// Of the surest points the one nearest to the mean of all. The surest are
+  /// the quarter, rounded up, with the largest confidences, and those that have
+  /// the least of these.
+  kSurest,
 };
 
 /// `length_m` map units in lattice steps, to a nanometre: whole numbers of
@@ -55,18 +59,20 @@ struct CellSample {
   /// Rows of the input, ascending.
   std::vector<uint32_t> rows;
   /// For each row, the mean of the points that it stands for, in steps; only
-  /// for kCentroid and kNearest.
+  /// for kCentroid, kNearest and kSurest.
   std::vector<Point3> centroids;
 };
 
 /// The representatives of `cells`, which are parts of `order`, an order of rows
 /// of `positions`. The choice depends on the points of a cell alone, not on
 /// their order, if rows are in Morton order; `seed` is that of kRandom. Ties
-/// are broken by coordinate. kCancelled.
+/// are broken by coordinate. kSurest needs `confidences`, one a row (of
+/// LabelColumns). kCancelled.
 absl::StatusOr<CellSample> RepresentCells(
     std::span<const LatticePoint> positions, std::span<const uint32_t> order,
     std::span<const CellRange> cells, Representative kind, int64_t seed,
-    const ExecutionContext& context);
+    const ExecutionContext& context,
+    std::span<const uint16_t> confidences = {});
 
 /// Splits the points [0, size), at least one, in cells: the cell of largest
 /// `measure`, of equal ones the first, again and again, until there are

@@ -317,11 +317,16 @@ absl::StatusOr<CloudSample> SampleBySpdf(const LatticeCloud& cloud,
             ? filtered.WithoutOutliers(
                   OutlierTest::OfIdealShapes(spdf, options.ideal_share))
             : filtered.WithoutOutliers(spdf.outlier_share);
+    std::span<const uint16_t> confidences;
+    if (options.ChosenRepresentative() == Representative::kSurest) {
+      confidences = kept.columns.confidence;
+    }
     MAPSIEVE_ASSIGN_OR_RETURN(
         const CellSample chosen,
         SampleUnderBudget(PositionsOf(cloud, kept), kept.columns.label,
                           options.max_points, std::nullopt, context.stop,
-                          options.cell_split.value_or(CellSplit::kFullest)));
+                          options.cell_split.value_or(CellSplit::kFullest),
+                          confidences));
     sample = LabeledSample(cloud, kept, chosen.rows);
     if (options.ChosenRepresentative() == Representative::kCentroid) {
       MoveToCentroids(chosen.centroids, sample.cloud);

@@ -116,9 +116,13 @@ absl::Status SamplerOptions::Validate(const Lattice& lattice) const {
   if (representative.has_value() && !divides_in_cells) {
     return invalid("takes no representative");
   }
-  if (is_spatial && ChosenRepresentative() != Representative::kNearest &&
-      ChosenRepresentative() != Representative::kCentroid) {
-    return invalid("takes the representatives nearest and centroid");
+  const Representative chosen = ChosenRepresentative();
+  if (is_spatial &&
+      (chosen == Representative::kFirst || chosen == Representative::kRandom)) {
+    return invalid("takes the representatives nearest, centroid and surest");
+  }
+  if (!is_spatial && chosen == Representative::kSurest) {
+    return invalid("takes no representative surest");
   }
   if (method == SampleMethod::kMaxDensity) {
     return CheckNeighborCount(spdf.neighbor_count);

@@ -71,8 +71,8 @@ struct SamplerOptions {
   double cell_edge_m = 0;
 
   /// Which point stands for a cell. Of kOctree (kFirst unless given), kVoxel
-  /// (kCentroid), kSsNormal (kNearest) and kSpatialSpdf (kNearest or
-  /// kCentroid).
+  /// (kCentroid), kSsNormal (kNearest), none of which has confidences for
+  /// kSurest, and of kSpatialSpdf (kNearest, or kCentroid or kSurest).
   std::optional<Representative> representative;
 
   /// Of kSpatialSpdf: which cell is divided next; kFullest unless given.

@@ -98,11 +98,17 @@ int LogVolume(const LatticePoint& first, const LatticePoint& last) {
 absl::StatusOr<CellSample> SampleUnderBudget(
     std::span<const LatticePoint> positions, std::span<const Label> labels,
     int64_t budget, const std::optional<LabelWeights>& weights,
-    std::stop_token stop, CellSplit split) {
+    std::stop_token stop, CellSplit split,
+    std::span<const uint16_t> confidences) {
   if (positions.size() != labels.size()) {
     return absl::InvalidArgumentError(
         absl::StrCat(positions.size(), " positions but ", labels.size(),
                      " labels; one label a point is needed"));
+  }
+  if (!confidences.empty() && confidences.size() != positions.size()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(positions.size(), " positions but ", confidences.size(),
+                     " confidences; one a point is needed, or none"));
   }
   if (budget < 0) {
     return absl::InvalidArgumentError(
@@ -130,8 +136,10 @@ absl::StatusOr<CellSample> SampleUnderBudget(
       const auto count = static_cast<double>(cell.size());
       if (split == CellSplit::kFullest) return count;
       // Its cube: no root is needed, and a power of two rounds nothing.
-      return std::ldexp(count * count * count,
-                        2 * LogVolume(point(cell.begin), point(cell.end - 1)));
+      const int volume_power = split == CellSplit::kWidest ? 2 : 1;
+      return std::ldexp(
+          count * count * count,
+          volume_power * LogVolume(point(cell.begin), point(cell.end - 1)));
     };
     MAPSIEVE_ASSIGN_OR_RETURN(
         const std::vector<CellRange> of_label,
@@ -145,8 +153,10 @@ absl::StatusOr<CellSample> SampleUnderBudget(
       cells.push_back({first + cell.begin, first + cell.end});
     }
   }
-  return RepresentCells(positions, order, cells, Representative::kNearest, 0,
-                        {.stop = std::move(stop)});
+  return RepresentCells(
+      positions, order, cells,
+      confidences.empty() ? Representative::kNearest : Representative::kSurest,
+      0, {.stop = std::move(stop)}, confidences);
 }
 
 }  // namespace mapsieve::core

@@ -28,6 +28,9 @@ enum class CellSplit : uint8_t {
   /// apart get more of the budget: of a surface the sample has the square root
   /// of the density that the points have.
   kWidest,
+  /// The one with most points times v^(1/3), between the two: of a surface the
+  /// sample has the density that the points have to the power of 2/3.
+  kMidway,
 };
 
 /// Spatial SpDF: at most `budget` of the points, spread evenly over each label.
@@ -37,16 +40,18 @@ enum class CellSplit : uint8_t {
 /// labels of weight 0 get nothing. Its points are divided into cells of the
 /// absolute octree, the cell that `split` says halved along its next Morton bit
 /// again and again while the label's budget holds, and of each cell the point
-/// nearest to its centroid stays. So exactly min(budget, N) points come back,
-/// and the choice depends on the set of points alone: chunk and tile borders
-/// never show. `positions`: distinct, in Morton order. `labels`: one a point.
-/// kInvalidArgument: unequal lengths, a negative budget; kCancelled: `stop`,
-/// looked at every few milliseconds. Cost O(N log N).
-/// Source: Labussière et al. 2020, section on Spatial SpDF, for kFullest.
+/// nearest to its centroid stays, with `confidences`, one a point, the nearest
+/// of its surest (Representative::kSurest). So exactly min(budget, N) points
+/// come back, and the choice depends on the set of points alone: chunk and tile
+/// borders never show. `positions`: distinct, in Morton order. `labels`: one a
+/// point. kInvalidArgument: unequal lengths, a negative budget; kCancelled:
+/// `stop`, looked at every few milliseconds. Cost O(N log N). Source:
+/// Labussière et al. 2020, section on Spatial SpDF, for kFullest.
 absl::StatusOr<CellSample> SampleUnderBudget(
     std::span<const LatticePoint> positions, std::span<const Label> labels,
     int64_t budget, const std::optional<LabelWeights>& weights = std::nullopt,
-    std::stop_token stop = {}, CellSplit split = CellSplit::kFullest);
+    std::stop_token stop = {}, CellSplit split = CellSplit::kFullest,
+    std::span<const uint16_t> confidences = {});
 
 }  // namespace mapsieve::core
 

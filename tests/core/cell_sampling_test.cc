@@ -5,11 +5,13 @@
 #include <map>
 #include <numeric>
 #include <set>
+#include <tuple>
 #include <utility>
 #include <vector>
 
 #include "core/cloud/merge_duplicates.h"
 #include "core/geometry/cell_key.h"
+#include "core/geometry/point_hash.h"
 #include "core/sampling/cells.h"
 #include "core/sampling/octree_sample.h"
 #include "core/sampling/sampler.h"
@@ -215,6 +217,56 @@ TEST(RepresentCells, AgreesWithTheDefinitionOfEachRepresentative) {
     EXPECT_NEAR(centroid.centroids[n].y, mean.y, 1e-6);
     EXPECT_NEAR(centroid.centroids[n].z, mean.z, 1e-6);
   }
+}
+
+TEST(RepresentCells, TheSurestAreTheQuarterOfLargestConfidence) {
+  const Points positions = SceneAroundTheOrigin(1500, 5);
+  std::vector<uint32_t> order = Ascending(positions.size());
+  const std::vector<CellRange> cells = OctreeLeaves(positions, 30, 0);
+  // Few values, so that many are equal.
+  std::vector<uint16_t> confidences;
+  for (const LatticePoint& q : positions) {
+    confidences.push_back(static_cast<uint16_t>(PointHash(q, 3) % 9));
+  }
+  std::vector<uint32_t> expected;
+  for (const CellRange& cell : cells) {
+    // The distance from the mean, times the number of points, in integers.
+    const auto size = static_cast<int64_t>(cell.size());
+    LatticePoint sum;
+    for (uint32_t i = cell.begin; i < cell.end; ++i) {
+      const LatticePoint& q = positions[i];
+      sum = {sum.x + q.x, sum.y + q.y, sum.z + q.z};
+    }
+    std::vector<std::tuple<int64_t, LatticePoint, uint32_t>> surest;
+    for (uint32_t i = cell.begin; i < cell.end; ++i) {
+      uint32_t surer = 0;
+      for (uint32_t j = cell.begin; j < cell.end; ++j) {
+        if (confidences[j] > confidences[i]) ++surer;
+      }
+      if (4 * surer >= cell.size()) continue;
+      const LatticePoint& q = positions[i];
+      const int64_t x = size * q.x - sum.x;
+      const int64_t y = size * q.y - sum.y;
+      const int64_t z = size * q.z - sum.z;
+      surest.emplace_back(x * x + y * y + z * z, q, i);
+    }
+    expected.push_back(
+        std::get<2>(*std::min_element(surest.begin(), surest.end())));
+  }
+  std::sort(expected.begin(), expected.end());
+  const auto represent = [&](Representative kind) {
+    return RepresentCells(positions, order, cells, kind, 0, {}, confidences)
+        .value();
+  };
+  const CellSample sample = represent(Representative::kSurest);
+  EXPECT_EQ(sample.rows, expected);
+  EXPECT_NE(sample.rows, represent(Representative::kNearest).rows);
+  EXPECT_EQ(sample.centroids.size(), sample.rows.size());
+  // Whatever the order of a cell's points.
+  for (const CellRange& cell : cells) {
+    std::reverse(order.begin() + cell.begin, order.begin() + cell.end);
+  }
+  EXPECT_EQ(represent(Representative::kSurest).rows, expected);
 }
 
 TEST(VoxelSample, HasOnePointInEachVoxel) {

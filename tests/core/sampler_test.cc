@@ -58,6 +58,10 @@ std::vector<SamplerOptions> WithCounts(int64_t count) {
   for (const SampleMethod method : kSampleMethods) {
     all.push_back({.method = method, .max_points = count});
   }
+  all.push_back({.method = SampleMethod::kSpatialSpdf,
+                 .max_points = count,
+                 .representative = Representative::kSurest,
+                 .cell_split = CellSplit::kMidway});
   return all;
 }
 
@@ -307,6 +311,22 @@ TEST(Sampler, OutliersByIdealShapesAreTheSameWhateverElseThereIs) {
   EXPECT_EQ(kept_ground(both, options), kept);
 }
 
+TEST(Sampler, TheSurestPointsAreThoseOfTheFiltersConfidences) {
+  const LatticeCloud cloud = testing::SceneCloud(6000, 3, 4);
+  SamplerOptions options = {.method = SampleMethod::kSpatialSpdf,
+                            .max_points = 200,
+                            .spdf = {.rule = DensityRule::kQuota}};
+  const auto confidence_sum = [&] {
+    const BulkVector<uint16_t> confidences =
+        Sample(cloud, options)->columns.confidence;
+    EXPECT_EQ(confidences.size(), 200u);
+    return std::accumulate(confidences.begin(), confidences.end(), int64_t{0});
+  };
+  const int64_t nearest = confidence_sum();
+  options.representative = Representative::kSurest;
+  EXPECT_GT(confidence_sum(), nearest * 11 / 10);
+}
+
 TEST(Sampler, IdealSharesAreThoseOfTheLabelsSaliency) {
   // 0.5 xi_1^2 and 0.25 xi_2^2 at sigma = rho = 0.2, times 65535 / 2.
   const OutlierTest test =
@@ -348,7 +368,11 @@ TEST(Sampler, SaysWhatIsWrongWithItsOptions) {
       {{.method = Method::kSpatialSpdf,
         .max_points = 9,
         .representative = Representative::kFirst},
-       "nearest and centroid"},
+       "nearest, centroid and surest"},
+      {{.method = Method::kVoxel,
+        .cell_edge_m = 1,
+        .representative = Representative::kSurest},
+       "takes no representative surest"},
       {{.method = Method::kOctree,
         .max_points = 9,
         .cell_split = CellSplit::kWidest},

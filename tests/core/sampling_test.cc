@@ -183,7 +183,8 @@ OracleCell MakeOracleCell(std::vector<LatticePoint> points) {
   return cell;
 }
 
-TEST(SampleUnderBudget, TheWidestCellIsHalvedFirst) {
+/// Compares with a division by definition, of most points times v^volume_power.
+void ExpectHalvesByPointsTimesVolume(CellSplit split, double volume_power) {
   const std::vector<LatticePoint> positions =
       DistinctPoints(testing::SceneCloud(400, 3, 7).positions);
   const std::vector<Label> labels(positions.size(), Label::kSurface);
@@ -194,7 +195,7 @@ TEST(SampleUnderBudget, TheWidestCellIsHalvedFirst) {
     for (size_t c = 0; c < cells.size(); ++c) {
       if (cells[c].points.size() < 2) continue;
       const double width = static_cast<double>(cells[c].points.size()) *
-                           std::exp2(cells[c].log_volume / 1.5);
+                           std::exp2(cells[c].log_volume * volume_power);
       if (width > largest * (1 + 1e-9)) {
         largest = width;
         widest = c;
@@ -208,7 +209,7 @@ TEST(SampleUnderBudget, TheWidestCellIsHalvedFirst) {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(
         const CellSample sample,
         SampleUnderBudget(positions, labels, static_cast<int64_t>(cells.size()),
-                          std::nullopt, {}, CellSplit::kWidest));
+                          std::nullopt, {}, split));
     // Both are in Morton order.
     ASSERT_EQ(sample.rows.size(), cells.size());
     for (size_t c = 0; c < cells.size(); ++c) {
@@ -220,7 +221,15 @@ TEST(SampleUnderBudget, TheWidestCellIsHalvedFirst) {
   }
 }
 
-TEST(SampleUnderBudget, WidestTakesTheSquareRootOfASurfacesDensity) {
+TEST(SampleUnderBudget, TheWidestCellIsHalvedFirst) {
+  ExpectHalvesByPointsTimesVolume(CellSplit::kWidest, 2.0 / 3);
+}
+
+TEST(SampleUnderBudget, MidwayCountsPointsTimesTheEdge) {
+  ExpectHalvesByPointsTimesVolume(CellSplit::kMidway, 1.0 / 3);
+}
+
+TEST(SampleUnderBudget, TakesAPowerOfASurfacesDensity) {
   // Sixteen times as dense on the left.
   const LatticeCloud cloud = testing::Concatenated(
       testing::Shifted(testing::PlaneCloud(48000, 2, 8), {-2001, 0, 0}),
@@ -237,13 +246,16 @@ TEST(SampleUnderBudget, WidestTakesTheSquareRootOfASurfacesDensity) {
            static_cast<double>(sample.rows.size() - static_cast<size_t>(left));
   };
   double widest = 0;
+  double midway = 0;
   double fullest = 0;
   const std::array<int64_t, 4> budgets = {400, 566, 800, 1131};
   for (const int64_t budget : budgets) {
     widest += ratio(CellSplit::kWidest, budget) / budgets.size();
+    midway += ratio(CellSplit::kMidway, budget) / budgets.size();
     fullest += ratio(CellSplit::kFullest, budget) / budgets.size();
   }
   EXPECT_NEAR(widest, 4, 0.8);
+  EXPECT_NEAR(midway, std::pow(16, 2.0 / 3), 1.2);
   EXPECT_NEAR(fullest, 16, 3);
 }
 
@@ -255,6 +267,11 @@ TEST(SampleUnderBudget, RefusesUnequalLengthsAndNegativeBudgets) {
   const std::vector<Label> labels = {Label::kCurve};
   EXPECT_THAT(SampleUnderBudget(positions, labels, -1),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("-1")));
+  const std::vector<uint16_t> confidences = {1, 2};
+  EXPECT_THAT(SampleUnderBudget(positions, labels, 1, std::nullopt, {},
+                                CellSplit::kFullest, confidences),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("1 positions but 2 confidences")));
 }
 
 TEST(RandomSample, DrawsTheSamePointsWhateverTheOrder) {

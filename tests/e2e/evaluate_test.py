@@ -148,8 +148,8 @@ class Evaluate(FolderTest):
                                self.options(), ("--rotations", 1, "--full"),
                                ("--rotations", 1, "--trials", 3, "--full")))
         self.assertEqual(few["registrations"], self.printed["registrations"])
-        # 109 pairs, 8 counts, 12 methods, 2 ICP; options beside it count.
-        of_a_trial = 109 * 8 * 12 * 2
+        # 109 pairs, 8 counts, 13 methods, 2 ICP; options beside it count.
+        of_a_trial = 109 * 8 * 13 * 2
         self.assertEqual(full["registrations"], of_a_trial * 313)
         self.assertEqual(part["registrations"], of_a_trial * 3)
         self.assertGreater(full["estimated_s"], 1000 * few["estimated_s"])

@@ -89,11 +89,14 @@ class Sample(FolderTest):
         _, fullest = self.sample(*options)
         _, same = self.sample(*options, "--cell-split", "fullest")
         _, widest = self.sample(*options, "--cell-split", "widest")
+        _, midway = self.sample(*options, "--cell-split", "midway")
+        _, surest = self.sample(*options, "--representative", "surest")
         _, ideal = self.sample(*options, "--ideal-share", "0.02")
         self.assertEqual(same, fullest)
-        for other in (widest, ideal):
+        for other in (widest, midway, surest, ideal):
             self.assertEqual(len(other), 500)
             self.assertNotEqual(other, fullest)
+        self.assertNotEqual(midway, widest)
 
     def test_refuses_what_does_not_belong_together(self):
         for options in (
@@ -106,6 +109,7 @@ class Sample(FolderTest):
                 ("spatial-spdf", "--max-points", "5", "--representative",
                  "first"),
                 ("octree", "--max-points", "5", "--cell-split", "widest"),
+                ("voxel", "--cell-edge", "1", "--representative", "surest"),
                 ("spdf", "--ideal-share", "0.02"),
                 ("spatial-spdf", "--max-points", "5", "--ideal-share", "2"),
                 ("voxel", "--cell-edge", "0.0001"),

@@ -152,12 +152,15 @@ TEST(Evaluation, ComparesNamedMethodsOfDifferentSamples) {
   EXPECT_TRUE(names.contains("spatial-spdf"));
   EXPECT_TRUE(names.contains("spatial-spdf-quota"));
   EXPECT_TRUE(names.contains("spatial-spdf-quota-wide"));
+  EXPECT_TRUE(names.contains("spatial-spdf-quota-surest"));
 
   // Two draws of one scene, so that every sample has an error of its own.
-  options.methods = {
-      {SampleMethod::kSpatialSpdf},
-      {SampleMethod::kSpatialSpdf, core::DensityRule::kQuota},
-      {SampleMethod::kSpatialSpdf, core::DensityRule::kQuota, true}};
+  options.methods = {{SampleMethod::kSpatialSpdf},
+                     {SampleMethod::kSpatialSpdf, core::DensityRule::kQuota},
+                     {SampleMethod::kSpatialSpdf, core::DensityRule::kQuota,
+                      SpatialVariant::kWide},
+                     {SampleMethod::kSpatialSpdf, core::DensityRule::kQuota,
+                      SpatialVariant::kSurest}};
   options.icp_methods = {IcpMethod::kPlaneToPlane};
   options.counts = {300};
   options.trial_count = 1;
@@ -171,10 +174,10 @@ TEST(Evaluation, ComparesNamedMethodsOfDifferentSamples) {
   MAPSIEVE_ASSERT_OK(RunEvaluation(options, pairs, folder / "trials.csv"));
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<Trial> trials,
                                 ReadTrials(folder / "trials.csv"));
-  ASSERT_EQ(trials.size(), 3u);
+  ASSERT_EQ(trials.size(), 4u);
   std::set<double> errors;
   for (const Trial& trial : trials) errors.insert(trial.translation_error_m);
-  EXPECT_EQ(errors.size(), 3u);
+  EXPECT_EQ(errors.size(), 4u);
 }
 
 TEST(Evaluation, PairsNoPointsWhoseNormalsDisagree) {
