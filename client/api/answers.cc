@@ -132,8 +132,11 @@ class SyncReader {
 
 class GrpcQueryStream final : public QueryStream {
  public:
-  GrpcQueryStream(v1::QueryService::Stub& stub, const QuerySpec& spec)
-      : stub_(stub), request_(ToProto(spec)) {
+  GrpcQueryStream(const std::shared_ptr<grpc::Channel>& channel,
+                  const QuerySpec& spec)
+      : channel_(channel),
+        stub_(v1::QueryService::NewStub(channel)),
+        request_(ToProto(spec)) {
     request_.set_packed_columns(true);
     Open();
   }
@@ -198,7 +201,7 @@ class GrpcQueryStream final : public QueryStream {
   void Open() {
     reader_.reset();
     context_ = std::make_unique<grpc::ClientContext>();
-    reader_ = stub_.QueryRegion(context_.get(), request_);
+    reader_ = stub_->QueryRegion(context_.get(), request_);
     finished_ = false;
   }
 
@@ -215,7 +218,7 @@ class GrpcQueryStream final : public QueryStream {
   /// does.
   absl::Status Resume(absl::Status status) {
     if (request_.resume_token().empty()) return status;
-    ResumePauses pauses;
+    ResumePauses pauses(ResumePauses::kStreamPatience, channel_);
     while (pauses.Wait(status)) {
       Open();
       status = ReadHeader();
@@ -223,7 +226,8 @@ class GrpcQueryStream final : public QueryStream {
     return status;
   }
 
-  v1::QueryService::Stub& stub_;
+  const std::shared_ptr<grpc::Channel> channel_;
+  const std::unique_ptr<v1::QueryService::Stub> stub_;
   /// With the token of the last batch.
   v1::QueryRegionRequest request_;
   /// The last message, and its blocks that were not given yet.
@@ -239,8 +243,8 @@ class GrpcQueryStream final : public QueryStream {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<QueryStream>> OpenQueryStream(
-    v1::QueryService::Stub& stub, const QuerySpec& spec) {
-  auto stream = std::make_unique<GrpcQueryStream>(stub, spec);
+    const std::shared_ptr<grpc::Channel>& channel, const QuerySpec& spec) {
+  auto stream = std::make_unique<GrpcQueryStream>(channel, spec);
   MAPSIEVE_RETURN_IF_ERROR(stream->ReadHeader());
   return stream;
 }

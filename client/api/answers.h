@@ -8,14 +8,15 @@
 #include "absl/status/statusor.h"
 #include "client/api/map_client.h"
 #include "client/api/map_types.h"
+#include "grpcpp/channel.h"
 #include "mapsieve/v1/query_service.grpc.pb.h"
 
 /// How MapClient reads the streams of the query service.
 namespace mapsieve::client {
 
-/// MapClient::Query. The stub outlives the stream.
+/// MapClient::Query.
 absl::StatusOr<std::unique_ptr<QueryStream>> OpenQueryStream(
-    v1::QueryService::Stub& stub, const QuerySpec& spec);
+    const std::shared_ptr<grpc::Channel>& channel, const QuerySpec& spec);
 
 /// MapClient::Sync.
 absl::StatusOr<SyncSummary> ReadSync(

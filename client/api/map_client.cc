@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <functional>
 #include <optional>
 #include <thread>
 #include <utility>
@@ -14,6 +15,7 @@
 #include "core/base/status.h"
 #include "grpcpp/create_channel.h"
 #include "grpcpp/security/credentials.h"
+#include "grpcpp/support/channel_arguments.h"
 #include "mapsieve/v1/map_service.grpc.pb.h"
 #include "mapsieve/v1/operations.grpc.pb.h"
 #include "mapsieve/v1/processing_service.grpc.pb.h"
@@ -53,12 +55,34 @@ absl::StatusOr<Digest> DigestOf(BlockSource& source) {
   return digest;
 }
 
+/// A call notices within half a minute that nothing arrives any more, and a new
+/// one within seconds that the server is back.
+grpc::ChannelArguments ChannelOptions() {
+  grpc::ChannelArguments arguments;
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10'000);
+  arguments.SetInt(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);
+  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
+  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 5'000);
+  return arguments;
+}
+
+/// Makes a call that may be repeated until it is answered, with a pause after
+/// each that the server could not be reached with.
+absl::Status Insist(ResumePauses& pauses,
+                    const std::function<absl::Status()>& call) {
+  while (true) {
+    absl::Status status = call();
+    if (status.ok() || !pauses.Wait(status)) return status;
+  }
+}
+
 }  // namespace
 
 struct MapClient::Connection {
   explicit Connection(const std::string& server)
-      : channel(
-            grpc::CreateChannel(server, grpc::InsecureChannelCredentials())),
+      : channel(grpc::CreateCustomChannel(
+            server, grpc::InsecureChannelCredentials(), ChannelOptions())),
         maps(v1::MapService::NewStub(channel)),
         uploads(v1::UploadService::NewStub(channel)),
         processing(v1::ProcessingService::NewStub(channel)),
@@ -241,8 +265,8 @@ absl::StatusOr<google::protobuf::Any> MapClient::Connection::Wait(
 absl::StatusOr<UploadReport> MapClient::Upload(const std::string& map_id,
                                                BlockSource& source,
                                                const ProgressCallback& progress,
-                                               const Region& region,
-                                               bool again) {
+                                               const Region& region, bool again,
+                                               absl::Duration patience) {
   v1::FinalizeUploadRequest finalize;
   SetRegion(region, finalize);
   const std::string region_bytes = finalize.SerializeAsString();
@@ -266,14 +290,19 @@ absl::StatusOr<UploadReport> MapClient::Upload(const std::string& map_id,
   told.set_frame_id(from.frame_id);
   told.set_unit(from.unit);
   told.set_coordinate_step(from.coordinate_step);
-  MAPSIEVE_ASSIGN_OR_RETURN(v1::Upload upload,
-                            connection_->OpenUpload(request));
+  ResumePauses pauses(patience, connection_->channel);
+  v1::Upload upload;
+  const auto open = [&]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(upload, connection_->OpenUpload(request));
+    return absl::OkStatus();
+  };
+  MAPSIEVE_RETURN_IF_ERROR(Insist(pauses, open));
   while (again && upload.state() == v1::Upload::STATE_FINALIZED) {
     // The next one of these bytes is named after the last one: a call that
     // breaks off is gone on with too.
     request.set_upload_id(ContentHash(TextBytes(
         absl::StrCat(request.upload_id(), " ", upload.report().revision()))));
-    MAPSIEVE_ASSIGN_OR_RETURN(upload, connection_->OpenUpload(request));
+    MAPSIEVE_RETURN_IF_ERROR(Insist(pauses, open));
   }
   if (upload.state() == v1::Upload::STATE_FINALIZED) {
     UploadReport report = FromProto(upload.report());
@@ -282,21 +311,35 @@ absl::StatusOr<UploadReport> MapClient::Upload(const std::string& map_id,
     return report;
   }
   int64_t sent = 0;
-  if (upload.state() == v1::Upload::STATE_ACTIVE &&
-      upload.committed_bytes() < digest.bytes) {
-    MAPSIEVE_RETURN_IF_ERROR(connection_->Write(upload.name(), blocks,
-                                                upload.committed_bytes(),
-                                                digest.bytes, progress, sent));
+  bool is_resumed = false;
+  while (upload.state() == v1::Upload::STATE_ACTIVE &&
+         upload.committed_bytes() < digest.bytes) {
+    const int64_t begin = upload.committed_bytes();
+    const absl::Status written = connection_->Write(
+        upload.name(), blocks, begin, digest.bytes, progress, sent);
+    if (written.ok()) break;
+    // The other writer is this one, as long as the server has not seen that
+    // the call before is over.
+    const bool goes_on = is_resumed && absl::IsAborted(written)
+                             ? pauses.Pause()
+                             : pauses.Wait(written);
+    if (!goes_on) return written;
+    is_resumed = true;
+    MAPSIEVE_RETURN_IF_ERROR(Insist(pauses, open));
+    if (upload.committed_bytes() > begin) pauses.Reset();
   }
   v1::Operation operation;
-  {
+  finalize.set_name(upload.name());
+  MAPSIEVE_RETURN_IF_ERROR(Insist(pauses, [&] {
     grpc::ClientContext context;
-    finalize.set_name(upload.name());
-    MAPSIEVE_RETURN_IF_ERROR(ToStatus(
-        connection_->uploads->FinalizeUpload(&context, finalize, &operation)));
-  }
-  MAPSIEVE_ASSIGN_OR_RETURN(const google::protobuf::Any result,
-                            connection_->Wait(operation.name(), {}));
+    return ToStatus(
+        connection_->uploads->FinalizeUpload(&context, finalize, &operation));
+  }));
+  google::protobuf::Any result;
+  MAPSIEVE_RETURN_IF_ERROR(Insist(pauses, [&]() -> absl::Status {
+    MAPSIEVE_ASSIGN_OR_RETURN(result, connection_->Wait(operation.name(), {}));
+    return absl::OkStatus();
+  }));
   v1::FinalizeUploadResponse response;
   if (!result.UnpackTo(&response)) {
     return absl::InternalError("the server's result is of another type");
@@ -480,7 +523,7 @@ absl::Status MapClient::WatchMap(
   request.set_name(MapName(map_id));
   request.set_from_revision(from_revision);
   std::optional<RevisionInfo> last;
-  ResumePauses pauses;
+  ResumePauses pauses(ResumePauses::kStreamPatience, connection_->channel);
   while (true) {
     grpc::ClientContext context;
     const auto reader = connection_->maps->WatchMap(&context, request);
@@ -532,7 +575,7 @@ absl::StatusOr<RepairReport> MapClient::Repair(
 
 absl::StatusOr<std::unique_ptr<QueryStream>> MapClient::Query(
     const QuerySpec& spec) {
-  return OpenQueryStream(*connection_->queries, spec);
+  return OpenQueryStream(connection_->channel, spec);
 }
 
 absl::StatusOr<SyncSummary> MapClient::Sync(

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "absl/time/time.h"
 #include "client/api/block_source.h"
 #include "client/api/map_types.h"
 #include "core/cloud/point_cloud.h"
@@ -61,12 +62,16 @@ class MapClient {
   /// counts durable bytes. `region`: they take the place of the raw points that
   /// the map has there, in one revision; to the map the same points with
   /// another region are another upload. `again`: the points are added whether
-  /// an upload of them was finished before or not.
+  /// an upload of them was finished before or not. `patience`: where the server
+  /// goes away after the first answer, or the network breaks, it is asked again
+  /// until the pauses between, ever longer, are so long together, and the
+  /// upload goes on behind the bytes that are durable.
   absl::StatusOr<UploadReport> Upload(const std::string& map_id,
                                       BlockSource& source,
                                       const ProgressCallback& progress = {},
                                       const Region& region = {},
-                                      bool again = false);
+                                      bool again = false,
+                                      absl::Duration patience = {});
 
   /// Up to `max_count` revisions, newest first. kNotFound.
   absl::StatusOr<std::vector<RevisionInfo>> ListRevisions(

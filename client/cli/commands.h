@@ -62,6 +62,7 @@ struct UploadCommand {
   std::vector<std::string> column_names;
   bool process = false;
   bool again = false;
+  double retry_s = 60;
 };
 absl::Status RunUpload(const CommonOptions& common,
                        const UploadCommand& command);

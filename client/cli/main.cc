@@ -112,6 +112,11 @@ void AddUploadOptions(CLI::App& command, UploadCommand& options) {
   command.add_flag("--again", options.again,
                    "Add the points although they were uploaded before, for "
                    "instance after they were deleted");
+  command
+      .add_option("--retry-for", options.retry_s,
+                  "Seconds to ask again in while the server is away, default "
+                  "60; then a second run goes on")
+      ->check(CLI::Range(0.0, 1e6));
   AddColumnsOption(command, options.column_names);
 }
 

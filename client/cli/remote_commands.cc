@@ -10,6 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/time/time.h"
 #include "client/api/map_client.h"
 #include "client/cli/commands.h"
 #include "client/cli/file_blocks.h"
@@ -271,7 +272,8 @@ absl::Status RunUpload(const CommonOptions& common,
     absl::StatusOr<UploadReport> report;
     {
       ProgressBar bar("upload " + file, "B");
-      report = client.Upload(command.map, blocks, Show(bar), {}, command.again);
+      report = client.Upload(command.map, blocks, Show(bar), {}, command.again,
+                             absl::Seconds(command.retry_s));
     }
     if (!report.ok()) return Annotate(report.status(), file);
     Json result = {{"file", file}};
@@ -394,7 +396,7 @@ absl::Status RunReplaceRegion(const CommonOptions& common,
   {
     ProgressBar bar("replace-region " + upload.map, "B");
     report = client.Upload(upload.map, blocks, Show(bar), command.region,
-                           upload.again);
+                           upload.again, absl::Seconds(upload.retry_s));
   }
   MAPSIEVE_RETURN_IF_ERROR(report.status());
   for (const std::string& what : blocks.differences()) {

@@ -363,7 +363,9 @@ class LasWriter : public PointWriter {
     ByteWriter head;
     PutText(head, "LASF", 4);
     head.Put(uint16_t{0});
-    head.Put(static_cast<uint16_t>(epsg == 0 ? 0x10 : 0));  // WKT, not GeoTIFF
+    // WKT: point formats from 6 on must say so. PDAL refuses files that do not,
+    // and takes GeoTIFF keys where there is no WKT.
+    head.Put(uint16_t{0x10});
     PutText(head, "", 16);
     head.Put(uint8_t{1});
     head.Put(uint8_t{4});

@@ -18,6 +18,9 @@ using core::LatticeCloud;
 using core::LatticePoint;
 using storage::ChunkRef;
 
+/// Points that tell what suits the blocks behind them too.
+constexpr size_t kTellingPoints = 512;
+
 }  // namespace
 
 absl::Status AnswerSource::CheckStop() const {
@@ -174,7 +177,8 @@ absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
   }
   LatticeCloud points = PendingPoints(taken_, count);
   taken_ += count;
-  if (!plan_.has_value() && count > 0 &&
+  if (!plan_.has_value() &&
+      count >= std::min(kTellingPoints, PointsPerBlock()) &&
       source_.compression != core::Compression::kNone) {
     plan_ =
         core::PlanEncoding(points, source_.compression, core::PlanAim::kSpeed);

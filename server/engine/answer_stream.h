@@ -152,7 +152,7 @@ class AnswerStream {
   MissingChunks& missing_;
   ChunkWalk walk_;
   bool is_walked_ = false;
-  /// Made for the first block that is encoded.
+  /// Made for the first block of many points; small ones before it go without.
   std::optional<core::EncodePlan> plan_;
   /// A chunk as it is stored, the block behind all pending points.
   std::optional<Block> stored_;

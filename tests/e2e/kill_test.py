@@ -331,7 +331,8 @@ class World:
                 file = self.new_file(numbers, map_)
                 files.append(file)
             result = self.insist(numbers, "upload", map_.name, file.path,
-                                 of=map_, excuses=(BUSY_UPLOAD,))
+                                 "--retry-for", 0, of=map_,
+                                 excuses=(BUSY_UPLOAD,))
             if result is not None:
                 report, = result["files"]
                 map_.acknowledged.append((
@@ -353,7 +354,8 @@ class World:
             shown_percent = 0
             while True:
                 result = self.ask(numbers, "upload", name, self.bulk,
-                                  excuses=(BUSY_UPLOAD,), log=self.bulk_log)
+                                  "--retry-for", 0, excuses=(BUSY_UPLOAD,),
+                                  log=self.bulk_log)
                 if result is not None:
                     break
                 shares = re.findall(r" (\d+) %", self.bulk_log.read_text())
@@ -408,8 +410,8 @@ class World:
     def replace_region(self, numbers, map_):
         file = self.new_file(numbers, map_)
         result = self.insist(numbers, "replace-region", map_.name, file.path,
-                             *random_region(numbers), of=map_,
-                             excuses=(BUSY_UPLOAD,))
+                             *random_region(numbers), "--retry-for", 0,
+                             of=map_, excuses=(BUSY_UPLOAD,))
         if result is not None:
             map_.acknowledged.append((
                 result["revision"],

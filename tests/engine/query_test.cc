@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "core/cloud/merge_duplicates.h"
+#include "core/codec/points_codec.h"
 #include "core/sampling/spatial_budget.h"
 #include "core/spdf/levels.h"
 #include "gtest/gtest.h"
@@ -250,6 +251,28 @@ TEST(RegionQuery, ABudgetInBytesIsKeptAndUsed) {
     EXPECT_EQ(both.summary.point_count,
               std::min(int64_t{100}, answer.summary.point_count));
   }
+}
+
+TEST_F(RegionQueryTest, BlocksAreHardlyLargerThanEachByItselfCanBe) {
+  // The first one holds the few points of the coarsest level, which tell
+  // little of what is to come.
+  MemoryPool memory(1 << 28);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(
+      const Batches answer,
+      ReadBatches(OpenQuery(workshop_->store(), memory,
+                            {.map_id = "map", .packed_columns = true}, {})));
+  size_t least_bytes = 0;
+  for (const std::vector<std::byte>& block : answer.blocks) {
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const LatticeCloud points,
+                                  core::DecodePoints(block));
+    if (least_bytes == 0) {
+      ASSERT_LT(points.size(), 100U);
+    }
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto alone, core::EncodePoints(points));
+    least_bytes += alone.size();
+  }
+  EXPECT_LE(static_cast<double>(answer.summary.block_bytes),
+            1.03 * static_cast<double>(least_bytes));
 }
 
 TEST_F(RegionQueryTest, WeightsShareABudgetOut) {

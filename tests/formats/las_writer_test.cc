@@ -234,6 +234,18 @@ TEST(LasWriter, KeepsTheCrs) {
   }
 }
 
+TEST(LasWriter, MarksItsPointFormatsAsOthersDemand) {
+  // LAS 1.4 R15, table 5 and section 2.5: the WKT bit, with formats 6 to 10.
+  for (const std::string crs : {"EPSG:26915", "PROJCS[\"a\"]", ""}) {
+    const TemporaryFile file(".las");
+    MAPSIEVE_ASSERT_OK(
+        WritePointFile(file.path(), SomePoints(1), {.crs_wkt = crs}));
+    const std::string bytes = file.Read();
+    EXPECT_EQ(bytes[6] & 0x11, 0x10) << crs;
+    EXPECT_GE(bytes[104], 6) << crs;
+  }
+}
+
 TEST(LasWriter, NamesAScaleThatWouldHoldTheCoordinates) {
   PointCloud cloud;
   cloud.positions = {{0, 0, 0}, {5183020.5, 0, 0}};
