@@ -80,8 +80,9 @@ absl::Status Insist(ResumePauses& pauses,
 }  // namespace
 
 struct MapClient::Connection {
-  explicit Connection(const std::string& server)
-      : channel(grpc::CreateCustomChannel(
+  Connection(const std::string& server, absl::Duration its_patience)
+      : patience(its_patience),
+        channel(grpc::CreateCustomChannel(
             server, grpc::InsecureChannelCredentials(), ChannelOptions())),
         maps(v1::MapService::NewStub(channel)),
         uploads(v1::UploadService::NewStub(channel)),
@@ -102,6 +103,7 @@ struct MapClient::Connection {
   absl::StatusOr<google::protobuf::Any> Wait(const std::string& name,
                                              const ProgressCallback& progress);
 
+  const absl::Duration patience;
   std::shared_ptr<grpc::Channel> channel;
   std::unique_ptr<v1::MapService::Stub> maps;
   std::unique_ptr<v1::UploadService::Stub> uploads;
@@ -110,8 +112,8 @@ struct MapClient::Connection {
   std::unique_ptr<v1::QueryService::Stub> queries;
 };
 
-MapClient::MapClient(const std::string& server)
-    : connection_(std::make_unique<Connection>(server)) {}
+MapClient::MapClient(const std::string& server, absl::Duration patience)
+    : connection_(std::make_unique<Connection>(server, patience)) {}
 
 MapClient::~MapClient() = default;
 
@@ -246,14 +248,17 @@ absl::Status MapClient::Connection::Write(const std::string& upload_name,
 
 absl::StatusOr<google::protobuf::Any> MapClient::Connection::Wait(
     const std::string& name, const ProgressCallback& progress) {
+  ResumePauses pauses(patience, channel);
   v1::WaitOperationRequest request;
   request.set_name(name);
   request.mutable_timeout()->set_seconds(kWaitSeconds);
   while (true) {
-    grpc::ClientContext context;
     v1::Operation operation;
-    MAPSIEVE_RETURN_IF_ERROR(
-        ToStatus(operations->WaitOperation(&context, request, &operation)));
+    MAPSIEVE_RETURN_IF_ERROR(Insist(pauses, [&] {
+      grpc::ClientContext context;
+      return ToStatus(operations->WaitOperation(&context, request, &operation));
+    }));
+    pauses.Reset();
     const OperationInfo info = FromProto(operation);
     if (progress) progress(info.done_work, info.total_work);
     if (!operation.done()) continue;
@@ -265,8 +270,8 @@ absl::StatusOr<google::protobuf::Any> MapClient::Connection::Wait(
 absl::StatusOr<UploadReport> MapClient::Upload(const std::string& map_id,
                                                BlockSource& source,
                                                const ProgressCallback& progress,
-                                               const Region& region, bool again,
-                                               absl::Duration patience) {
+                                               const Region& region,
+                                               bool again) {
   v1::FinalizeUploadRequest finalize;
   SetRegion(region, finalize);
   const std::string region_bytes = finalize.SerializeAsString();
@@ -290,7 +295,7 @@ absl::StatusOr<UploadReport> MapClient::Upload(const std::string& map_id,
   told.set_frame_id(from.frame_id);
   told.set_unit(from.unit);
   told.set_coordinate_step(from.coordinate_step);
-  ResumePauses pauses(patience, connection_->channel);
+  ResumePauses pauses(connection_->patience, connection_->channel);
   v1::Upload upload;
   const auto open = [&]() -> absl::Status {
     MAPSIEVE_ASSIGN_OR_RETURN(upload, connection_->OpenUpload(request));
@@ -335,11 +340,8 @@ absl::StatusOr<UploadReport> MapClient::Upload(const std::string& map_id,
     return ToStatus(
         connection_->uploads->FinalizeUpload(&context, finalize, &operation));
   }));
-  google::protobuf::Any result;
-  MAPSIEVE_RETURN_IF_ERROR(Insist(pauses, [&]() -> absl::Status {
-    MAPSIEVE_ASSIGN_OR_RETURN(result, connection_->Wait(operation.name(), {}));
-    return absl::OkStatus();
-  }));
+  MAPSIEVE_ASSIGN_OR_RETURN(const google::protobuf::Any result,
+                            connection_->Wait(operation.name(), {}));
   v1::FinalizeUploadResponse response;
   if (!result.UnpackTo(&response)) {
     return absl::InternalError("the server's result is of another type");

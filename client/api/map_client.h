@@ -38,8 +38,12 @@ class QueryStream {
 /// cannot be reached is kUnavailable. Thread-safe.
 class MapClient {
  public:
-  /// `server`: HOST:PORT. Connects at the first call.
-  explicit MapClient(const std::string& server);
+  /// `server`: HOST:PORT. Connects at the first call. `patience`: an upload, or
+  /// a wait for what the server works on, that the server or the network goes
+  /// away from is gone on with: the server is asked again until the pauses
+  /// between, ever longer, are so long together; it goes on with its work when
+  /// it is back. Queries and WatchMap have 6.3 s, whatever it is.
+  explicit MapClient(const std::string& server, absl::Duration patience = {});
   ~MapClient();
   MapClient(const MapClient&) = delete;
   MapClient& operator=(const MapClient&) = delete;
@@ -62,16 +66,12 @@ class MapClient {
   /// counts durable bytes. `region`: they take the place of the raw points that
   /// the map has there, in one revision; to the map the same points with
   /// another region are another upload. `again`: the points are added whether
-  /// an upload of them was finished before or not. `patience`: where the server
-  /// goes away after the first answer, or the network breaks, it is asked again
-  /// until the pauses between, ever longer, are so long together, and the
-  /// upload goes on behind the bytes that are durable.
+  /// an upload of them was finished before or not.
   absl::StatusOr<UploadReport> Upload(const std::string& map_id,
                                       BlockSource& source,
                                       const ProgressCallback& progress = {},
                                       const Region& region = {},
-                                      bool again = false,
-                                      absl::Duration patience = {});
+                                      bool again = false);
 
   /// Up to `max_count` revisions, newest first. kNotFound.
   absl::StatusOr<std::vector<RevisionInfo>> ListRevisions(

@@ -22,6 +22,8 @@ namespace mapsieve::client {
 /// What all commands share.
 struct CommonOptions {
   std::string server;
+  /// Patience of MapClient.
+  double retry_s = 60;
   bool json = false;
 };
 
@@ -62,7 +64,6 @@ struct UploadCommand {
   std::vector<std::string> column_names;
   bool process = false;
   bool again = false;
-  double retry_s = 60;
 };
 absl::Status RunUpload(const CommonOptions& common,
                        const UploadCommand& command);

@@ -112,11 +112,6 @@ void AddUploadOptions(CLI::App& command, UploadCommand& options) {
   command.add_flag("--again", options.again,
                    "Add the points although they were uploaded before, for "
                    "instance after they were deleted");
-  command
-      .add_option("--retry-for", options.retry_s,
-                  "Seconds to ask again in while the server is away, default "
-                  "60; then a second run goes on")
-      ->check(CLI::Range(0.0, 1e6));
   AddColumnsOption(command, options.column_names);
 }
 
@@ -859,6 +854,10 @@ int Main(int argc, char** argv) {
   common.server = "127.0.0.1:7070";
   app.add_option("--server", common.server, "HOST:PORT, default 127.0.0.1:7070")
       ->envname("MAPSIEVE_SERVER");
+  app.add_option("--retry-for", common.retry_s,
+                 "Seconds to ask again in where the server goes away from an "
+                 "upload, or from work that is waited for, default 60")
+      ->check(CLI::Range(0.0, 1e6));
   app.add_flag("--json", common.json,
                "Print one JSON document on stdout; watch: one a line");
   app.fallthrough();

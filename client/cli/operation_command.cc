@@ -10,7 +10,7 @@ namespace mapsieve::client {
 
 absl::Status RunOperation(const CommonOptions& common,
                           const OperationCommand& command) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   if (command.cancel) {
     MAPSIEVE_RETURN_IF_ERROR(client.CancelOperation(command.operation));
   }

@@ -220,7 +220,7 @@ std::string WhatToDo(const VerifyCommand& command, const VerifyReport& report) {
 
 absl::Status RunCreate(const CommonOptions& common,
                        const CreateCommand& command) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MapSpec spec = {.id = command.map,
                   .tile_edge = command.tile_edge,
                   .crs_wkt = command.crs,
@@ -245,7 +245,7 @@ absl::Status RunCreate(const CommonOptions& common,
 
 absl::Status RunProcess(const CommonOptions& common,
                         const ProcessCommand& command) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   std::optional<ProcessOptions> options;
   if (!(command.options == ProcessOptions())) options = command.options;
   if (command.no_wait) {
@@ -262,7 +262,7 @@ absl::Status RunProcess(const CommonOptions& common,
 
 absl::Status RunUpload(const CommonOptions& common,
                        const UploadCommand& command) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(command.map));
   Json files = Json::array();
   for (const std::string& file : command.files) {
@@ -272,8 +272,7 @@ absl::Status RunUpload(const CommonOptions& common,
     absl::StatusOr<UploadReport> report;
     {
       ProgressBar bar("upload " + file, "B");
-      report = client.Upload(command.map, blocks, Show(bar), {}, command.again,
-                             absl::Seconds(command.retry_s));
+      report = client.Upload(command.map, blocks, Show(bar), {}, command.again);
     }
     if (!report.ok()) return Annotate(report.status(), file);
     Json result = {{"file", file}};
@@ -311,7 +310,7 @@ absl::Status RunQuery(const CommonOptions& common,
                       const QueryCommand& command) {
   const Clock::time_point start = Clock::now();
   MAPSIEVE_ASSIGN_OR_RETURN(const QuerySpec spec, MakeQuerySpec(command));
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(spec.map_id));
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<QueryStream> stream,
                             client.Query(spec));
@@ -347,7 +346,7 @@ absl::Status RunExport(const CommonOptions& common,
   const Clock::time_point start = Clock::now();
   QuerySpec spec = command.spec;
   MAPSIEVE_ASSIGN_OR_RETURN(spec.region, MakeQueryRegion(command.region));
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   // An answer may take long: what cannot be written is refused before.
   MAPSIEVE_ASSIGN_OR_RETURN(
       const std::unique_ptr<PointWriter> writer,
@@ -368,7 +367,7 @@ absl::Status RunExport(const CommonOptions& common,
 absl::Status RunDeleteRegion(const CommonOptions& common,
                              const DeleteRegionCommand& command) {
   const Clock::time_point start = Clock::now();
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   absl::StatusOr<DeleteReport> report;
   {
     ProgressBar bar("delete-region " + command.map, "chunks");
@@ -388,7 +387,7 @@ absl::Status RunReplaceRegion(const CommonOptions& common,
                               const ReplaceRegionCommand& command) {
   const Clock::time_point start = Clock::now();
   const UploadCommand& upload = command.upload;
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(upload.map));
   FileListBlocks blocks(upload.files, {.column_names = upload.column_names},
                         core::Lattice(map.step_nm));
@@ -396,7 +395,7 @@ absl::Status RunReplaceRegion(const CommonOptions& common,
   {
     ProgressBar bar("replace-region " + upload.map, "B");
     report = client.Upload(upload.map, blocks, Show(bar), command.region,
-                           upload.again, absl::Seconds(upload.retry_s));
+                           upload.again);
   }
   MAPSIEVE_RETURN_IF_ERROR(report.status());
   for (const std::string& what : blocks.differences()) {
@@ -416,7 +415,7 @@ absl::Status RunReplaceRegion(const CommonOptions& common,
 
 absl::Status RunRollback(const CommonOptions& common,
                          const RollbackCommand& command) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MAPSIEVE_ASSIGN_OR_RETURN(const RevisionInfo revision,
                             client.RollBack(command.map, command.revision));
   Json result = {{"map", command.map}};
@@ -427,7 +426,7 @@ absl::Status RunRollback(const CommonOptions& common,
 
 absl::Status RunWatch(const CommonOptions& common,
                       const WatchCommand& command) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   int64_t seen = 0;
   const absl::Status status = client.WatchMap(
       command.map, command.from, [&](const RevisionInfo& revision) {
@@ -452,7 +451,7 @@ absl::Status RunWatch(const CommonOptions& common,
 
 absl::Status RunRevisions(const CommonOptions& common,
                           const RevisionsCommand& command) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   if (command.compared.empty()) {
     MAPSIEVE_ASSIGN_OR_RETURN(
         const std::vector<RevisionInfo> revisions,
@@ -500,7 +499,7 @@ absl::Status RunRevisions(const CommonOptions& common,
 
 absl::Status RunVerify(const CommonOptions& common,
                        const VerifyCommand& command) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(command.map));
   const auto start = Clock::now();
   RepairReport repair;
@@ -559,7 +558,7 @@ absl::Status RunVerify(const CommonOptions& common,
 }
 
 absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.GetMap(map_id));
   MAPSIEVE_ASSIGN_OR_RETURN(const MapStats stats, client.GetMapStats(map_id));
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<RevisionInfo> newest,
@@ -602,7 +601,7 @@ absl::Status RunInfo(const CommonOptions& common, const std::string& map_id) {
 }
 
 absl::Status RunList(const CommonOptions& common) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MAPSIEVE_ASSIGN_OR_RETURN(const std::vector<MapInfo> maps, client.ListMaps());
   Json list = Json::array();
   for (const MapInfo& map : maps) {
@@ -617,7 +616,7 @@ absl::Status RunList(const CommonOptions& common) {
 
 absl::Status RunDelete(const CommonOptions& common, const std::string& map,
                        bool force) {
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MAPSIEVE_RETURN_IF_ERROR(client.DeleteMap(map, force));
   PrintResult(common.json, {{"deleted", map}});
   return absl::OkStatus();

@@ -78,7 +78,7 @@ absl::StatusOr<HeldChunk> WriteChunk(const std::filesystem::path& folder,
 
 absl::Status RunSync(const CommonOptions& common, const SyncCommand& command) {
   const auto start = std::chrono::steady_clock::now();
-  MapClient client(common.server);
+  MapClient client(common.server, absl::Seconds(common.retry_s));
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map,
                             client.GetMap(command.query.map_id));
   MAPSIEVE_ASSIGN_OR_RETURN(const auto folder,

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import unittest
 
-from programs import BIN, ServedTest, mapsieve, run_command
+from programs import BIN, Relay, ServedTest, mapsieve, run_command
 
 STEP = 0.001
 
@@ -197,27 +197,42 @@ class Edits(ServedTest):
         report, = self.mapsieve("upload", "strict", files[1])["files"]
         self.assertEqual(report["added_point_count"], 1)
 
-    def test_who_waits_when_the_server_dies_is_told_how_to_wait_on(self):
+    def kill_while_it_processes(self, name, *options):
+        """Kills the server under a `process`; the command, with a relay."""
         source = self.work / "long.las"
         self.mapsieve("simulate", source, "--points", 1000000)
-        self.mapsieve("create", "long")
-        self.mapsieve("upload", "long", source)
+        self.mapsieve("create", name)
+        self.mapsieve("upload", name, source)
         before = self.processor_ticks()
-        with subprocess.Popen(
-                [BIN / "mapsieve", "--server", self.server.address, "process",
-                 "long", "--rho", "0.1"],
-                stderr=subprocess.PIPE, text=True) as waiting:
-            while self.processor_ticks() < before + 20:
-                self.assertIsNone(waiting.poll(), "ended before it was seen")
-            self.server.stop(signal.SIGKILL)
-            messages = waiting.stderr.read()
-        self.assertEqual(waiting.returncode, 1, messages)
+        relay = self.enterContext(Relay(self.server.address))
+        waiting = self.enterContext(subprocess.Popen(
+            [BIN / "mapsieve", "--server", relay.address, "process", name,
+             "--rho", "0.1", *options], stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True))
+        while self.processor_ticks() < before + 20:
+            self.assertIsNone(waiting.poll(), "ended before it was seen")
+        self.server.stop(signal.SIGKILL)
+        return waiting, relay
+
+    def test_a_process_that_is_waited_for_outlives_the_server(self):
+        waiting, relay = self.kill_while_it_processes("killed")
+        self.server.start()
+        relay.target = self.server.address
+        messages = waiting.stderr.read()
+        self.assertEqual(waiting.wait(), 0, messages)
+        self.assertEqual(self.mapsieve("info", "killed")["stale_tile_count"],
+                         0)
+
+    def test_who_stops_waiting_is_told_how_to_go_on(self):
+        waiting, _ = self.kill_while_it_processes("left", "--retry-for", "0")
+        messages = waiting.stderr.read()
+        self.server.start()
+        self.assertEqual(waiting.wait(), 1, messages)
         hint = re.search(r"mapsieve operation (\w+) waits", messages)
         self.assertIsNotNone(hint, messages)
-        self.server.start()
         ended = self.mapsieve("operation", hint[1])
         self.assertEqual(ended["state"], "succeeded")
-        self.assertEqual(self.mapsieve("info", "long")["stale_tile_count"], 0)
+        self.assertEqual(self.mapsieve("info", "left")["stale_tile_count"], 0)
 
     def test_an_operation_is_waited_for_or_cancelled(self):
         self.mapsieve("create", "busy")

@@ -245,7 +245,8 @@ class World:
             with open(log or self.work / f"{threading.get_ident()}.log",
                       "w+") as messages:
                 result = self.server.run_command(
-                    "--json", *arguments, timeout=limit_s, stderr=messages)
+                    "--json", "--retry-for", 0, *arguments, timeout=limit_s,
+                    stderr=messages)
                 messages.seek(0)
                 message = messages.read().strip()
         except subprocess.TimeoutExpired:
@@ -331,8 +332,7 @@ class World:
                 file = self.new_file(numbers, map_)
                 files.append(file)
             result = self.insist(numbers, "upload", map_.name, file.path,
-                                 "--retry-for", 0, of=map_,
-                                 excuses=(BUSY_UPLOAD,))
+                                 of=map_, excuses=(BUSY_UPLOAD,))
             if result is not None:
                 report, = result["files"]
                 map_.acknowledged.append((
@@ -354,8 +354,7 @@ class World:
             shown_percent = 0
             while True:
                 result = self.ask(numbers, "upload", name, self.bulk,
-                                  "--retry-for", 0, excuses=(BUSY_UPLOAD,),
-                                  log=self.bulk_log)
+                                  excuses=(BUSY_UPLOAD,), log=self.bulk_log)
                 if result is not None:
                     break
                 shares = re.findall(r" (\d+) %", self.bulk_log.read_text())
@@ -410,8 +409,8 @@ class World:
     def replace_region(self, numbers, map_):
         file = self.new_file(numbers, map_)
         result = self.insist(numbers, "replace-region", map_.name, file.path,
-                             *random_region(numbers), "--retry-for", 0,
-                             of=map_, excuses=(BUSY_UPLOAD,))
+                             *random_region(numbers), of=map_,
+                             excuses=(BUSY_UPLOAD,))
         if result is not None:
             map_.acknowledged.append((
                 result["revision"],

@@ -5,81 +5,13 @@ usage: upload_test.py BIN_DIR
 """
 
 import signal
-import socket
-import struct
 import sys
-import threading
 import time
 import unittest
 
-from programs import ServedTest, mapsieve, run_command
+from programs import Relay, ServedTest, mapsieve, run_command
 
 POINTS = 600_000
-# Bytes that a connection that is cut lets through, some messages of the upload.
-SHARE = 1_500_000
-
-
-class Relay:
-    """Passes connections on to `target`, the first ones up to some bytes.
-
-    Calls each of `breaks` when a connection is cut, one a connection.
-    """
-
-    def __init__(self, target, breaks):
-        self.target = target
-        self.breaks = list(breaks)
-        self.listener = socket.create_server(("127.0.0.1", 0))
-        self.address = "127.0.0.1:%d" % self.listener.getsockname()[1]
-        threading.Thread(target=self.serve, daemon=True).start()
-
-    def serve(self):
-        while True:
-            try:
-                client = self.listener.accept()[0]
-            except OSError:
-                return
-            host, port = self.target.rsplit(":", 1)
-            try:
-                server = socket.create_connection((host, int(port)))
-            except OSError:
-                client.close()
-                continue
-            left = [SHARE if self.breaks else float("inf")]
-            for ends in ((client, server), (server, client)):
-                threading.Thread(target=self.pass_on, args=(*ends, left),
-                                 daemon=True).start()
-
-    def pass_on(self, source, sink, left):
-        try:
-            while data := source.recv(65536):
-                left[0] -= len(data)
-                if left[0] < 0:
-                    sink.sendall(data[:len(data) // 2])
-                    # The server reads what came.
-                    time.sleep(0.3)
-                    break
-                sink.sendall(data)
-        except OSError:
-            pass
-        is_cut = left[0] < 0
-        left[0] = float("inf")
-        for end in (source, sink):
-            try:
-                # Without a farewell, as a network that breaks.
-                end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER,
-                               struct.pack("ii", 1, 0))
-                end.shutdown(socket.SHUT_RDWR)
-            except OSError:
-                pass
-            end.close()
-        if is_cut:
-            self.breaks.pop(0)()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.listener.close()
 
 
 class Upload(ServedTest):
