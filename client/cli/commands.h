@@ -78,6 +78,8 @@ struct QueryCommand {
   /// See MakeAttributeRanges and MakeColumnSelection.
   std::vector<std::string> ranges;
   std::vector<std::string> columns;
+  /// Of a file with float32 coordinates; nothing: float64, as the map has them.
+  std::optional<core::Point3> origin;
   std::string output;
 };
 /// Chunks that spec.allow_partial leaves out are lines on stderr and no error.

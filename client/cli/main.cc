@@ -310,6 +310,19 @@ void AddQueryRegion(CLI::App& command, RegionArguments& region) {
       ->allow_extra_args(false);
 }
 
+void AddOriginOption(CLI::App& command, std::vector<double>& origin,
+                     const std::string& description) {
+  command.add_option("--origin", origin, description + "; default 0 0 0")
+      ->expected(3)
+      ->allow_extra_args(false);
+}
+
+/// 0 0 0 for nothing.
+core::Point3 PointOf(const std::vector<double>& coordinates) {
+  if (coordinates.empty()) return {};
+  return {coordinates[0], coordinates[1], coordinates[2]};
+}
+
 void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   auto options = std::make_shared<QueryCommand>();
   auto labels = std::make_shared<std::vector<std::string>>();
@@ -381,6 +394,14 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
   command->add_flag("--allow-partial", options->spec.allow_partial,
                     "Leave damaged chunks out, name each on stderr and exit 0, "
                     "instead of failing");
+  auto origin = std::make_shared<std::vector<double>>();
+  command
+      ->add_option("--origin", *origin,
+                   "x y z in map units that become 0 0 0, in a file with "
+                   "float32 coordinates, which PCL insists on; default: "
+                   "float64, as they are")
+      ->expected(3)
+      ->allow_extra_args(false);
   command->add_option("-o,--output", options->output, "LAS, PCD, PLY or CSV")
       ->required();
   command->callback([=, &common, &run] {
@@ -393,6 +414,7 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
         bytes_option->count() == 0) {
       throw CLI::RequiresError("--centroids", "--max-points or --max-bytes");
     }
+    if (!origin->empty()) options->origin = PointOf(*origin);
     for (const std::string& label : *labels) {
       for (const auto candidate : {core::Label::kJunction, core::Label::kCurve,
                                    core::Label::kSurface}) {
@@ -403,19 +425,6 @@ void AddQuery(CLI::App& app, const CommonOptions& common, Run& run) {
     }
     run = [=, &common] { return RunQuery(common, *options); };
   });
-}
-
-void AddOriginOption(CLI::App& command, std::vector<double>& origin,
-                     const std::string& description) {
-  command.add_option("--origin", origin, description + "; default 0 0 0")
-      ->expected(3)
-      ->allow_extra_args(false);
-}
-
-/// 0 0 0 for nothing.
-core::Point3 PointOf(const std::vector<double>& coordinates) {
-  if (coordinates.empty()) return {};
-  return {coordinates[0], coordinates[1], coordinates[2]};
 }
 
 void AddExport(CLI::App& app, const CommonOptions& common, Run& run) {

@@ -14,6 +14,7 @@
 #include "client/api/map_client.h"
 #include "client/cli/commands.h"
 #include "client/cli/file_blocks.h"
+#include "client/cli/local_frame.h"
 #include "client/cli/output.h"
 #include "client/cli/progress_bar.h"
 #include "client/cli/revision_json.h"
@@ -288,15 +289,20 @@ absl::Status RunUpload(const CommonOptions& common,
 
 /// Writes a whole answer and returns how many points it has; chunks that it
 /// lacks are lines on stderr.
-absl::StatusOr<int64_t> WriteAnswer(const std::string& title,
-                                    QueryStream& stream, PointWriter& writer) {
+absl::StatusOr<int64_t> WriteAnswer(
+    const std::string& title, QueryStream& stream, PointWriter& writer,
+    const std::optional<core::Point3>& origin = std::nullopt) {
   int64_t count = 0;
   {
     ProgressBar bar(title, "points");
     while (true) {
       MAPSIEVE_ASSIGN_OR_RETURN(const core::LatticeCloud batch, stream.Next());
       if (batch.size() == 0) break;
-      MAPSIEVE_RETURN_IF_ERROR(writer.Write(core::ToPointCloud(batch)));
+      core::PointCloud points = core::ToPointCloud(batch);
+      if (origin.has_value()) {
+        MAPSIEVE_RETURN_IF_ERROR(MoveToLocalFrame(*origin, points));
+      }
+      MAPSIEVE_RETURN_IF_ERROR(writer.Write(points));
       count += static_cast<int64_t>(batch.size());
       bar.Report(count, stream.header().candidate_point_count);
     }
@@ -315,14 +321,16 @@ absl::Status RunQuery(const CommonOptions& common,
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<QueryStream> stream,
                             client.Query(spec));
   const double first_s = SecondsSince(start);
+  WriteOptions options =
+      OptionsOfLocalFrame(map, command.origin.value_or(core::Point3()));
+  options.float_positions = command.origin.has_value();
+  options.attributes = stream->header().columns;
+  options.coordinate_step = Step(map);
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<PointWriter> writer,
+                            CreatePointFile(command.output, options));
   MAPSIEVE_ASSIGN_OR_RETURN(
-      const std::unique_ptr<PointWriter> writer,
-      CreatePointFile(command.output, {.attributes = stream->header().columns,
-                                       .coordinate_step = Step(map),
-                                       .crs_wkt = map.crs_wkt,
-                                       .frame_id = map.frame_id}));
-  MAPSIEVE_ASSIGN_OR_RETURN(const int64_t count,
-                            WriteAnswer("query " + map.id, *stream, *writer));
+      const int64_t count,
+      WriteAnswer("query " + map.id, *stream, *writer, command.origin));
   const QuerySummary& summary = stream->summary();
   PrintResult(common.json,
               {{"map", map.id},

@@ -1,6 +1,4 @@
-#include <algorithm>
 #include <chrono>
-#include <cmath>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -11,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/api/map_client.h"
 #include "client/cli/commands.h"
+#include "client/cli/local_frame.h"
 #include "client/cli/output.h"
 #include "client/cli/progress_bar.h"
 #include "client/cli/sync_folder.h"
@@ -30,20 +29,6 @@ std::string SourceOf(const SyncCommand& command, const MapInfo& map) {
   return source.dump();
 }
 
-/// kInvalidArgument: as float32, which the files have, positions around
-/// `corner` would be more than a centimetre off.
-absl::Status CheckRounding(const core::Point3& corner) {
-  constexpr double kMaxRounding = 0.01;
-  const double rounding =
-      0x1p-24 *
-      std::max({std::abs(corner.x), std::abs(corner.y), std::abs(corner.z)});
-  if (rounding <= kMaxRounding) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("the files hold float32, which would move points near (",
-                   corner.x, ", ", corner.y, ", ", corner.z, ") by up to ",
-                   rounding, "; give an --origin near them"));
-}
-
 /// Writes the points of a chunk; nothing for none.
 absl::StatusOr<HeldChunk> WriteChunk(const std::filesystem::path& folder,
                                      const SyncChunk& chunk, const MapInfo& map,
@@ -55,22 +40,14 @@ absl::StatusOr<HeldChunk> WriteChunk(const std::filesystem::path& folder,
       .corner = {corner.x - origin.x, corner.y - origin.y, corner.z - origin.z},
       .point_count = static_cast<int64_t>(chunk.points.size())};
   if (held.point_count == 0) return held;
-  MAPSIEVE_RETURN_IF_ERROR(CheckRounding(held.corner));
   // The id makes another file of a chunk that changed, for readers that know
   // files by their names.
   held.file = absl::StrCat(chunk.tile.x, "_", chunk.tile.y, "_", chunk.tile.z,
                            "-", chunk.id.substr(0, 8), ".pcd");
   core::PointCloud points = core::ToPointCloud(chunk.points);
-  for (core::Point3& p : points.positions) {
-    p = {p.x - origin.x, p.y - origin.y, p.z - origin.z};
-  }
-  WriteOptions options = {.float_positions = true};
-  // Around another origin the points are in no frame that has a name.
-  if (origin == core::Point3()) {
-    options.crs_wkt = map.crs_wkt;
-    options.frame_id = map.frame_id;
-  }
-  MAPSIEVE_RETURN_IF_ERROR(WritePointFile(folder / held.file, points, options));
+  MAPSIEVE_RETURN_IF_ERROR(MoveToLocalFrame(origin, points));
+  MAPSIEVE_RETURN_IF_ERROR(WritePointFile(folder / held.file, points,
+                                          OptionsOfLocalFrame(map, origin)));
   return held;
 }
 

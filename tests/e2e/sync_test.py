@@ -220,23 +220,52 @@ class Sync(unittest.TestCase):
         self.assertIn(message, result.stderr)
 
 
-class SyncOfWholeTiles(ServedTest):
-    def test_has_cells_that_are_the_tiles(self):
-        scan = self.work / "scan.las"
+class LocalFrames(ServedTest):
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        scan = cls.work / "scan.las"
         mapsieve("simulate", scan, "--points", 20000)
-        self.mapsieve("create", "map", "--step", 2**-9, "--tile-edge", 16)
-        bounds = self.mapsieve("upload", "map", scan)["files"][0]["bounds"]
-        self.mapsieve("process", "map", "--rho", 0.4)
-        origin = [math.floor((a + b) / 2)
-                  for a, b in zip(bounds["min"], bounds["max"])]
+        cls.server.mapsieve("create", "map", "--step", 2**-9, "--tile-edge",
+                            16)
+        upload = cls.server.mapsieve("upload", "map", scan)
+        bounds = upload["files"][0]["bounds"]
+        cls.server.mapsieve("process", "map", "--rho", 0.4)
+        cls.origin = [math.floor((a + b) / 2)
+                      for a, b in zip(bounds["min"], bounds["max"])]
+
+    def test_tiles_of_whole_units_are_the_cells_of_a_sync(self):
         self.mapsieve("sync", "map", self.work / "window", "--around",
-                      *origin, 50, "--origin", *origin)
+                      *self.origin, 50, "--origin", *self.origin)
         size, corners = metadata_of(self.work / "window" / "current")
         self.assertEqual(size, (16, 16))
         self.assertGreater(len(corners), 3)
         for name, corner in corners.items():
             x, y = map(int, name.split("_")[:2])
-            self.assertEqual(corner, (16 * x - origin[0], 16 * y - origin[1]))
+            self.assertEqual(corner, (16 * x - self.origin[0],
+                                      16 * y - self.origin[1]))
+
+    def test_a_query_writes_float32_around_an_origin(self):
+        answer = self.work / "answer.csv"
+        self.mapsieve("query", "map", "-o", answer)
+        names, rows = answer_of(answer)
+        columns = [names.index(axis) for axis in "xyz"]
+        expected = sorted(tuple(float(row[c]) - o
+                                for c, o in zip(columns, self.origin))
+                          for row in rows)
+        local = self.work / "local.pcd"
+        self.mapsieve("query", "map", "-o", local, "--origin", *self.origin)
+        found = sorted(points_of_pcd(local))
+        self.assertGreater(len(found), 1000)
+        self.assertEqual(len(found), len(expected))
+        for a, b in zip(found, expected):
+            for u, v in zip(a, b):
+                self.assertAlmostEqual(u, v, places=4)
+        far = self.server.run_command("query", "map", "-o", local, "--origin",
+                                      0, 0, 0)
+        self.assertEqual(far.returncode, 1)
+        self.assertIn("give an --origin near them", far.stderr)
+        self.assertEqual(sorted(points_of_pcd(local)), found)
 
 
 if __name__ == "__main__":
