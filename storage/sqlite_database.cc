@@ -109,7 +109,7 @@ void SqliteStatement::Check(bool condition, std::string_view what) {
 
 bool SqliteStatement::HasType(int type, const char* name) {
   const bool has = sqlite3_column_type(statement_, next_column_++) == type;
-  Check(has, absl::StrCat("is no ", name));
+  if (!has) Check(false, absl::StrCat("is no ", name));
   return has;
 }
 
