@@ -71,6 +71,7 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
 
   /// Begins the stream, or ends it at once without a ticket.
   void Start(absl::StatusOr<Admission::Ticket> ticket) {
+    Step step;
     {
       MutexLock lock(mutex_);
       if (ticket.ok()) {
@@ -78,25 +79,30 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
       } else {
         end_ = ticket.status();
       }
+      step = NextStep();
     }
-    Advance();
+    Take(step);
   }
 
   void OnWriteDone(bool ok) final {
+    Step step;
     {
       MutexLock lock(mutex_);
       sending_ = false;
       if (!ok) Abandon();
+      step = NextStep();
     }
-    Advance();
+    Take(step);
   }
   void OnCancel() final {
     stop_.request_stop();
+    Step step;
     {
       MutexLock lock(mutex_);
       Abandon();
+      step = NextStep();
     }
-    Advance();
+    Take(step);
   }
   void OnDone() final { delete this; }
 
@@ -126,6 +132,13 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
   }
 
  private:
+  // What is to be done without the lock, if anything.
+  struct Step {
+    WorkerPool* maker = nullptr;
+    const Response* send = nullptr;
+    std::optional<absl::Status> finish;
+  };
+
   // No more responses leave.
   void Abandon() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     ready_.reset();
@@ -144,6 +157,7 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
       MAPSIEVE_ASSIGN_OR_RETURN(more, Next(*response));
       return absl::OkStatus();
     });
+    Step step;
     {
       MutexLock lock(mutex_);
       making_ = false;
@@ -156,38 +170,40 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
           ready_ = std::move(response);
         }
       }
+      // With the lock still held: once nothing is being made, another thread
+      // may end the call, and this is gone.
+      step = NextStep();
     }
-    Advance();
+    Take(step);
   }
 
-  // Does whatever can be done now. The calls to gRPC come last and without the
-  // lock: after them the reactor may be gone.
-  void Advance() {
-    WorkerPool* maker = nullptr;
-    const Response* send = nullptr;
-    std::optional<absl::Status> finish;
-    {
-      MutexLock lock(mutex_);
-      if (finished_) return;
-      if (!sending_ && ready_ != nullptr) {
-        sent_ = std::move(ready_);
-        send = sent_.get();
-        sending_ = true;
-      }
-      if (!making_ && ready_ == nullptr && !idle_ && !end_) {
-        making_ = true;
-        maker = std::exchange(worker_, calls_.stream_workers);
-      }
-      if (!making_ && !sending_ && end_) {
-        finished_ = true;
-        finish = end_;
-      }
+  // Whatever can be done now.
+  Step NextStep() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    Step step;
+    if (finished_) return step;
+    if (!sending_ && ready_ != nullptr) {
+      sent_ = std::move(ready_);
+      step.send = sent_.get();
+      sending_ = true;
     }
-    if (maker != nullptr) maker->Post([this] { Make(); });
-    if (send != nullptr) this->StartWrite(send);
-    if (finish) {
-      calls_.on_end(method_, *finish);
-      this->Finish(ToGrpcStatus(*finish));
+    if (!making_ && ready_ == nullptr && !idle_ && !end_) {
+      making_ = true;
+      step.maker = std::exchange(worker_, calls_.stream_workers);
+    }
+    if (!making_ && !sending_ && end_) {
+      finished_ = true;
+      step.finish = end_;
+    }
+    return step;
+  }
+
+  // Does it; then the reactor may be gone.
+  void Take(const Step& step) {
+    if (step.maker != nullptr) step.maker->Post([this] { Make(); });
+    if (step.send != nullptr) this->StartWrite(step.send);
+    if (step.finish) {
+      calls_.on_end(method_, *step.finish);
+      this->Finish(ToGrpcStatus(*step.finish));
     }
   }
 
@@ -225,32 +241,36 @@ class ExchangeReactor : public grpc::ServerBidiReactor<Request, Response> {
   /// Begins the stream, or ends it at once without a ticket.
   void Start(absl::StatusOr<Admission::Ticket> ticket) {
     const bool begin = ticket.ok();
+    Step step;
     {
       MutexLock lock(mutex_);
       if (begin) {
         ticket_.emplace(*std::move(ticket));
       } else {
         end_ = ticket.status();
+        step = NextStep();
       }
     }
     if (begin) {
       this->StartRead(&request_);
     } else {
-      Advance();
+      Take(step);
     }
   }
 
   void OnReadDone(bool ok) final {
-    calls_.stream_workers->Post([this, ok] { Take(ok); });
+    calls_.stream_workers->Post([this, ok] { TakeNext(ok); });
   }
   void OnWriteDone(bool ok) final {
+    Step step;
     {
       MutexLock lock(mutex_);
       sending_ = false;
       // The read going on fails too and ends the call.
       if (!ok) broken_ = true;
+      step = NextStep();
     }
-    Advance();
+    Take(step);
   }
   void OnDone() final { delete this; }
 
@@ -263,42 +283,50 @@ class ExchangeReactor : public grpc::ServerBidiReactor<Request, Response> {
   virtual absl::Status TakeEnd(std::optional<Response>& response) = 0;
 
  private:
-  void Take(bool ok) {
+  // As those of StreamReactor.
+  struct Step {
+    const Response* send = nullptr;
+    std::optional<absl::Status> finish;
+  };
+
+  void TakeNext(bool ok) {
     std::optional<Response> response;
     const absl::Status status = Guarded([&] {
       return ok ? TakeRequest(request_, response) : TakeEnd(response);
     });
     const bool more = ok && status.ok();
+    Step step;
     {
       MutexLock lock(mutex_);
       if (response) waiting_ = std::move(response);
       if (!more) end_ = status;
+      step = NextStep();
     }
-    Advance();
+    Take(step);
     if (more) this->StartRead(&request_);
   }
 
-  // As StreamReactor::Advance; while a read is going on, end_ is not set.
-  void Advance() {
-    const Response* send = nullptr;
-    std::optional<absl::Status> finish;
-    {
-      MutexLock lock(mutex_);
-      if (finished_ || sending_) return;
-      if (waiting_ && !broken_) {
-        sent_ = *std::move(waiting_);
-        waiting_.reset();
-        send = &sent_;
-        sending_ = true;
-      } else if (end_) {
-        finished_ = true;
-        finish = end_;
-      }
+  // While a read is going on, end_ is not set.
+  Step NextStep() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    Step step;
+    if (finished_ || sending_) return step;
+    if (waiting_ && !broken_) {
+      sent_ = *std::move(waiting_);
+      waiting_.reset();
+      step.send = &sent_;
+      sending_ = true;
+    } else if (end_) {
+      finished_ = true;
+      step.finish = end_;
     }
-    if (send != nullptr) this->StartWrite(send);
-    if (finish) {
-      calls_.on_end(method_, *finish);
-      this->Finish(ToGrpcStatus(*finish));
+    return step;
+  }
+
+  void Take(const Step& step) {
+    if (step.send != nullptr) this->StartWrite(step.send);
+    if (step.finish) {
+      calls_.on_end(method_, *step.finish);
+      this->Finish(ToGrpcStatus(*step.finish));
     }
   }
 
