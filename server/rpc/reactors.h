@@ -132,11 +132,16 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
   }
 
  private:
-  // What is to be done without the lock, if anything.
+  // What is to be done without the lock. After a step of nothing the reactor
+  // may be gone: others do what is left.
   struct Step {
     WorkerPool* maker = nullptr;
     const Response* send = nullptr;
     std::optional<absl::Status> finish;
+
+    bool is_empty() const {
+      return maker == nullptr && send == nullptr && !finish;
+    }
   };
 
   // No more responses leave.
@@ -174,7 +179,7 @@ class StreamReactor : public grpc::ServerWriteReactor<Response> {
       // may end the call, and this is gone.
       step = NextStep();
     }
-    Take(step);
+    if (!step.is_empty()) Take(step);
   }
 
   // Whatever can be done now.
@@ -287,6 +292,8 @@ class ExchangeReactor : public grpc::ServerBidiReactor<Request, Response> {
   struct Step {
     const Response* send = nullptr;
     std::optional<absl::Status> finish;
+
+    bool is_empty() const { return send == nullptr && !finish; }
   };
 
   void TakeNext(bool ok) {
@@ -302,7 +309,7 @@ class ExchangeReactor : public grpc::ServerBidiReactor<Request, Response> {
       if (!more) end_ = status;
       step = NextStep();
     }
-    Take(step);
+    if (!step.is_empty()) Take(step);
     if (more) this->StartRead(&request_);
   }
 
