@@ -322,8 +322,9 @@ absl::Status RunQuery(const CommonOptions& common,
                             client.Query(spec));
   const double first_s = SecondsSince(start);
   WriteOptions options =
-      OptionsOfLocalFrame(map, command.origin.value_or(core::Point3()));
-  options.float_positions = command.origin.has_value();
+      command.origin.has_value()
+          ? OptionsOfLocalFrame(map, *command.origin)
+          : WriteOptions{.crs_wkt = map.crs_wkt, .frame_id = map.frame_id};
   options.attributes = stream->header().columns;
   options.coordinate_step = Step(map);
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<PointWriter> writer,

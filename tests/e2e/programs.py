@@ -12,7 +12,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 import unittest
 
 BIN = pathlib.Path(sys.argv[1])
@@ -82,7 +81,7 @@ class Server:
 class Relay:
     """Passes connections on to `target`, the first ones up to some bytes.
 
-    Calls each of `breaks` when a connection is cut, one a connection.
+    Calls each of `breaks` before a connection is cut, one a connection.
     """
 
     # That a connection lets through, some messages of an upload.
@@ -118,14 +117,13 @@ class Relay:
                 left[0] -= len(data)
                 if left[0] < 0:
                     sink.sendall(data[:len(data) // 2])
-                    # The server reads what came.
-                    time.sleep(0.3)
                     break
                 sink.sendall(data)
         except OSError:
             pass
-        is_cut = left[0] < 0
-        left[0] = float("inf")
+        if left[0] < 0:
+            left[0] = float("inf")
+            self.breaks.pop(0)()
         for end in (source, sink):
             try:
                 # Without a farewell, as a network that breaks.
@@ -135,8 +133,6 @@ class Relay:
             except OSError:
                 pass
             end.close()
-        if is_cut:
-            self.breaks.pop(0)()
 
     def __enter__(self):
         return self

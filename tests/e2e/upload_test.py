@@ -12,6 +12,8 @@ import unittest
 from programs import Relay, ServedTest, mapsieve, run_command
 
 POINTS = 600_000
+# How long the server is away.
+AWAY_S = 0.5
 
 
 class Upload(ServedTest):
@@ -20,6 +22,21 @@ class Upload(ServedTest):
         super().setUpClass()
         cls.scan = cls.work / "scan.las"
         mapsieve("simulate", cls.scan, "--points", POINTS)
+
+    def wait_until_more_is_staged(self):
+        """The server has taken in something of what the relay passed on."""
+        folder = self.work / "data" / "uploads"
+
+        def staged():
+            return sum(file.stat().st_size for file in folder.glob("*"))
+
+        deadline = time.monotonic() + 60
+        while staged() <= self.staged:
+            self.assertLess(time.monotonic(), deadline)
+        self.staged = staged()
+
+    def setUp(self):
+        self.staged = 0
 
     def check(self, name, report):
         info = self.mapsieve("info", name)
@@ -35,13 +52,11 @@ class Upload(ServedTest):
 
         def restart():
             self.assertEqual(self.server.stop(signal.SIGKILL), -signal.SIGKILL)
-            time.sleep(0.5)
+            time.sleep(AWAY_S)
             self.server.start()
             relay.target = self.server.address
 
-        def cut():
-            pass
-
+        cut = self.wait_until_more_is_staged
         with Relay(self.server.address, (cut, restart, cut)) as relay:
             report, = mapsieve("--server", relay.address, "upload", "broken",
                                self.scan)["files"]
@@ -52,7 +67,8 @@ class Upload(ServedTest):
 
     def test_without_patience_a_second_run_goes_on(self):
         self.mapsieve("create", "twice")
-        with Relay(self.server.address, [lambda: None]) as relay:
+        with Relay(self.server.address,
+                   [self.wait_until_more_is_staged]) as relay:
             command = ("--server", relay.address, "upload", "twice", self.scan,
                        "--retry-for", 0)
             result = run_command(*command)
