@@ -4,10 +4,10 @@
 
 namespace mapsieve::rpc {
 
-WorkerPool::WorkerPool(int thread_count) {
-  threads_.reserve(static_cast<size_t>(thread_count));
-  for (int i = 0; i < thread_count; ++i) {
-    threads_.emplace_back([this] { Work(); });
+WorkerPool::WorkerPool(int thread_count)
+    : workers_(static_cast<size_t>(thread_count)) {
+  for (Worker& worker : workers_) {
+    worker.thread = std::thread([this, &worker] { Work(worker); });
   }
 }
 
@@ -16,24 +16,35 @@ WorkerPool::~WorkerPool() {
     MutexLock lock(mutex_);
     closed_ = true;
   }
-  changed_.notify_all();
-  for (std::thread& thread : threads_) thread.join();
+  for (Worker& worker : workers_) {
+    worker.changed.notify_one();
+    worker.thread.join();
+  }
 }
 
 void WorkerPool::Post(Task task) {
+  Worker* woken = nullptr;
   {
     MutexLock lock(mutex_);
     tasks_.push_back(std::move(task));
+    if (idle_.empty()) return;
+    woken = idle_.back();
+    idle_.pop_back();
+    woken->is_idle = false;
   }
-  changed_.notify_one();
+  woken->changed.notify_one();
 }
 
-void WorkerPool::Work() {
+void WorkerPool::Work(Worker& worker) {
   for (;;) {
     Task task;
     {
       MutexLock lock(mutex_);
-      while (tasks_.empty() && !closed_) changed_.wait(mutex_);
+      while (tasks_.empty() && !closed_) {
+        worker.is_idle = true;
+        idle_.push_back(&worker);
+        while (worker.is_idle && !closed_) worker.changed.wait(mutex_);
+      }
       if (tasks_.empty()) return;
       task = std::move(tasks_.front());
       tasks_.pop_front();

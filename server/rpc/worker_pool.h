@@ -29,13 +29,22 @@ class WorkerPool {
   void Post(Task task);
 
  private:
-  void Work();
+  struct Worker {
+    std::thread thread;
+    ConditionVariable changed;
+    /// Among idle_.
+    bool is_idle = false;
+  };
+
+  void Work(Worker& worker);
 
   Mutex mutex_;
-  ConditionVariable changed_;
   std::deque<Task> tasks_ ABSL_GUARDED_BY(mutex_);
   bool closed_ ABSL_GUARDED_BY(mutex_) = false;
-  std::vector<std::thread> threads_;
+  /// Those that wait for tasks. The last one to come is woken first: what it
+  /// used is still in the caches of a processor.
+  std::vector<Worker*> idle_ ABSL_GUARDED_BY(mutex_);
+  std::vector<Worker> workers_;
 };
 
 }  // namespace mapsieve::rpc

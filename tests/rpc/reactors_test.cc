@@ -1,8 +1,11 @@
 #include "server/rpc/reactors.h"
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <functional>
+#include <future>
+#include <map>
 #include <memory>
 #include <new>
 #include <optional>
@@ -450,6 +453,25 @@ TEST(WorkerPool, RunsEverythingBeforeItGoes) {
     for (int i = 0; i < 1000; ++i) pool.Post([&] { ++done; });
   }
   EXPECT_EQ(done, 1000);
+}
+
+// One task after another stays with a few of many threads.
+TEST(WorkerPool, WakesWhoCameLast) {
+  std::map<std::thread::id, int> counts;
+  WorkerPool pool(8);
+  for (int i = 0; i < 64; ++i) {
+    std::promise<void> done;
+    pool.Post([&] {
+      ++counts[std::this_thread::get_id()];
+      done.set_value();
+    });
+    done.get_future().wait();
+    // Time to become idle again.
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  int most = 0;
+  for (const auto& [thread, count] : counts) most = std::max(most, count);
+  EXPECT_GE(most, 16);
 }
 
 }  // namespace
