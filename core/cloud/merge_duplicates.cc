@@ -138,39 +138,71 @@ uint64_t CodeInCell(const LatticePoint& q) {
 }
 
 /// Where each of the runs of ascending rows of `positions` starts, and at the
-/// end where the last one ends; empty if there are too many to merge them.
-std::vector<size_t> AscendingRuns(std::span<const LatticePoint> positions) {
-  constexpr size_t kMaxRuns = 8;
+/// end where the last one ends; empty if there are more than `max_runs`.
+std::vector<size_t> AscendingRuns(std::span<const LatticePoint> positions,
+                                  size_t max_runs) {
   std::vector<size_t> starts = {0};
   for (size_t i = 1; i < positions.size(); ++i) {
     if (!MortonLess(positions[i], positions[i - 1])) continue;
-    if (starts.size() == kMaxRuns) return {};
+    if (starts.size() == max_runs) return {};
     starts.push_back(i);
   }
   starts.push_back(positions.size());
   return starts;
 }
 
-/// The rows in Morton order, of runs as AscendingRuns gives them.
-std::vector<uint32_t> MergeRuns(std::span<const LatticePoint> positions,
-                                std::vector<size_t> starts) {
+/// Merges the rows [begin, middle) and [middle, end) of `from`, both in Morton
+/// order, to the same place of `to`. False: `stop` was requested.
+bool MergeTwoRuns(std::span<const LatticePoint> positions,
+                  std::span<const uint32_t> from, size_t begin, size_t middle,
+                  size_t end, std::span<uint32_t> to,
+                  const std::stop_token& stop) {
+  constexpr size_t kRowsBetweenStops = 65536;
+  size_t a = begin;
+  size_t b = middle;
+  size_t next = begin;
+  while (a < middle && b < end) {
+    if (stop.stop_requested()) return false;
+    const size_t last = std::min(next + kRowsBetweenStops, end);
+    while (next < last && a < middle && b < end) {
+      // Without a branch, which nothing could predict.
+      const bool takes_b = MortonLess(positions[from[b]], positions[from[a]]);
+      to[next++] = takes_b ? from[b] : from[a];
+      b += takes_b ? 1 : 0;
+      a += takes_b ? 0 : 1;
+    }
+  }
+  std::copy(from.begin() + static_cast<ptrdiff_t>(b),
+            from.begin() + static_cast<ptrdiff_t>(end),
+            std::copy(from.begin() + static_cast<ptrdiff_t>(a),
+                      from.begin() + static_cast<ptrdiff_t>(middle),
+                      to.begin() + static_cast<ptrdiff_t>(next)));
+  return true;
+}
+
+/// The rows in Morton order, of runs as AscendingRuns gives them. kCancelled:
+/// `stop` was requested.
+absl::StatusOr<std::vector<uint32_t>> MergeRuns(
+    std::span<const LatticePoint> positions, std::vector<size_t> starts,
+    const std::stop_token& stop = {}) {
   std::vector<uint32_t> order(positions.size());
   std::iota(order.begin(), order.end(), uint32_t{0});
-  const auto at = [&order](size_t i) {
-    return order.begin() + static_cast<ptrdiff_t>(i);
-  };
+  if (starts.size() <= 2) return order;
+  std::vector<uint32_t> merged(positions.size());
   while (starts.size() > 2) {
-    std::vector<size_t> merged;
+    std::vector<size_t> merged_starts;
     for (size_t r = 0; r + 1 < starts.size(); r += 2) {
-      merged.push_back(starts[r]);
-      if (r + 2 == starts.size()) break;
-      std::inplace_merge(at(starts[r]), at(starts[r + 1]), at(starts[r + 2]),
-                         [positions](uint32_t a, uint32_t b) {
-                           return MortonLess(positions[a], positions[b]);
-                         });
+      const bool is_pair = r + 2 < starts.size();
+      merged_starts.push_back(starts[r]);
+      if (!MergeTwoRuns(positions, order, starts[r], starts[r + 1],
+                        is_pair ? starts[r + 2] : starts[r + 1], merged,
+                        stop)) {
+        return absl::CancelledError("cancelled");
+      }
     }
-    merged.push_back(starts.back());
-    starts = std::move(merged);
+    merged_starts.push_back(starts.back());
+    starts = std::move(merged_starts);
+    order.swap(merged);
   }
   return order;
 }
@@ -199,10 +231,16 @@ bool IsMortonSorted(std::span<const LatticePoint> positions) {
                         });
 }
 
+absl::StatusOr<std::vector<uint32_t>> MergeMortonRuns(
+    std::span<const LatticePoint> positions, const std::stop_token& stop) {
+  return MergeRuns(positions, AscendingRuns(positions, positions.size()), stop);
+}
+
 std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
                                   Executor& executor) {
-  std::vector<size_t> runs = AscendingRuns(positions);
-  if (!runs.empty()) return MergeRuns(positions, std::move(runs));
+  constexpr size_t kMaxRuns = 8;
+  std::vector<size_t> runs = AscendingRuns(positions, kMaxRuns);
+  if (!runs.empty()) return *MergeRuns(positions, std::move(runs));
   // Codes of whole coordinates do not fit 64 bits: cells come first, then the
   // codes within each.
   const std::vector<CellKey> cells = FindCells(executor, positions);

@@ -3,8 +3,10 @@
 
 #include <cstdint>
 #include <span>
+#include <stop_token>
 #include <vector>
 
+#include "absl/status/statusor.h"
 #include "core/base/executor.h"
 #include "core/cloud/point_cloud.h"
 
@@ -17,6 +19,12 @@ bool IsMortonSorted(std::span<const LatticePoint> positions);
 /// their order. At most 2^32 - 1 rows.
 std::vector<uint32_t> MortonOrder(std::span<const LatticePoint> positions,
                                   Executor& executor = InlineExecutor());
+
+/// MortonOrder by merging what ascends already: as fast where that are a few
+/// runs, slower where they are many. kCancelled, some milliseconds after `stop`
+/// was requested.
+absl::StatusOr<std::vector<uint32_t>> MergeMortonRuns(
+    std::span<const LatticePoint> positions, const std::stop_token& stop);
 
 /// One row for every distinct lattice point of `cloud`, in Morton order: of
 /// several points in one place, the one with the smallest attributes

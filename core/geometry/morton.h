@@ -42,26 +42,27 @@ constexpr uint64_t MortonCode(uint64_t x, uint64_t y, uint64_t z) {
 /// flipped, without building the codes (which need 129 bits).
 constexpr bool MortonLess(int64_t ax, int64_t ay, int64_t az, int64_t bx,
                           int64_t by, int64_t bz) {
-  // A xor below another's highest set bit is smaller; z decides on equal bits.
-  const auto less_msb = [](uint64_t a, uint64_t b) {
-    return a < b && a < (a ^ b);
-  };
-  constexpr uint64_t kSign = uint64_t{1} << 63;
-  uint64_t a = static_cast<uint64_t>(az) ^ kSign;
-  uint64_t b = static_cast<uint64_t>(bz) ^ kSign;
+  // The coordinate with the highest bit that differs decides, z before y before
+  // x. It is chosen by masks: nothing could predict a branch.
+  auto a = static_cast<uint64_t>(az);
+  auto b = static_cast<uint64_t>(bz);
   uint64_t highest = a ^ b;
   const auto consider = [&](int64_t p, int64_t q) {
-    const uint64_t up = static_cast<uint64_t>(p) ^ kSign;
-    const uint64_t uq = static_cast<uint64_t>(q) ^ kSign;
-    if (less_msb(highest, up ^ uq)) {
-      highest = up ^ uq;
-      a = up;
-      b = uq;
-    }
+    const auto up = static_cast<uint64_t>(p);
+    const auto uq = static_cast<uint64_t>(q);
+    const uint64_t differing = up ^ uq;
+    // Of two numbers that of the lower highest bit is below their xor.
+    const bool is_higher =
+        (highest < differing) & (highest < (highest ^ differing));
+    const uint64_t mask = -static_cast<uint64_t>(is_higher);
+    highest ^= (highest ^ differing) & mask;
+    a ^= (a ^ up) & mask;
+    b ^= (b ^ uq) & mask;
   };
   consider(ay, by);
   consider(ax, bx);
-  return a < b;
+  // Sign bits are flipped in codes, so that negative coordinates come first.
+  return static_cast<int64_t>(a) < static_cast<int64_t>(b);
 }
 
 constexpr bool MortonLess(const LatticePoint& a, const LatticePoint& b) {

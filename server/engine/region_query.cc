@@ -13,7 +13,7 @@
 #include "core/base/bytes.h"
 #include "core/base/hash.h"
 #include "core/base/status.h"
-#include "core/geometry/morton.h"
+#include "core/cloud/merge_duplicates.h"
 #include "core/sampling/spatial_budget.h"
 #include "server/engine/answer_columns.h"
 #include "server/engine/answer_stream.h"
@@ -45,9 +45,6 @@ constexpr int64_t kCheapPointBytes = 3;
 constexpr int64_t kChunkCopies = 3;
 /// Blocks before and after they are encoded, and two messages on their way.
 constexpr int64_t kBatchCopies = 2 * kMaxBlocksAhead + 3;
-
-/// Some milliseconds of sorting.
-constexpr size_t kRowsBetweenStops = 65536;
 
 /// Choices tried for a budget in bytes.
 constexpr int kMaxTrials = 16;
@@ -217,7 +214,9 @@ class RegionQuery final : public QueryCursor {
       ++available_[static_cast<size_t>(label)];
     }
     Candidates sorted;
-    MAPSIEVE_ASSIGN_OR_RETURN(sorted.order, MortonOrder(found.positions));
+    // The walk gives a run for each of its few groups.
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        sorted.order, core::MergeMortonRuns(found.positions, source_.stop));
     sorted.positions.reserve(found.positions.size());
     sorted.labels.reserve(found.labels.size());
     for (const uint32_t row : sorted.order) {
@@ -225,37 +224,6 @@ class RegionQuery final : public QueryCursor {
       sorted.labels.push_back(found.labels[row]);
     }
     return sorted;
-  }
-
-  /// The rows in Morton order, which the sample asks for and the walk has
-  /// within each of its few groups.
-  absl::StatusOr<std::vector<uint32_t>> MortonOrder(
-      std::span<const LatticePoint> positions) const {
-    // Parts that are in order: rows from first to last, last excluded.
-    std::vector<std::pair<uint32_t, uint32_t>> parts;
-    for (uint32_t row = 0; row < positions.size(); ++row) {
-      if (row == 0 || core::MortonLess(positions[row], positions[row - 1])) {
-        parts.emplace_back(row, row);
-      }
-      parts.back().second = row + 1;
-      if (row % kRowsBetweenStops == 0) {
-        MAPSIEVE_RETURN_IF_ERROR(source_.CheckStop());
-      }
-    }
-    std::vector<uint32_t> order;
-    order.reserve(positions.size());
-    while (!parts.empty()) {
-      const auto next = std::min_element(
-          parts.begin(), parts.end(), [&](const auto& a, const auto& b) {
-            return core::MortonLess(positions[a.first], positions[b.first]);
-          });
-      order.push_back(next->first++);
-      if (next->first == next->second) parts.erase(next);
-      if (order.size() % kRowsBetweenStops == 0) {
-        MAPSIEVE_RETURN_IF_ERROR(source_.CheckStop());
-      }
-    }
-    return order;
   }
 
   /// Makes choice_ a sample of `count` candidates.
