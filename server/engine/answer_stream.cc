@@ -28,22 +28,23 @@ absl::Status AnswerSource::CheckStop() const {
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::optional<AnswerSource::Part>> AnswerSource::Read(
-    const ChunkRef& chunk, std::vector<std::string> names,
-    MissingChunks* missing) const {
+absl::StatusOr<AnswerSource::Part> AnswerSource::Read(
+    const ChunkRef& chunk, std::vector<std::string> names) const {
   MAPSIEVE_RETURN_IF_ERROR(CheckStop());
   names.insert(names.end(), filter.stored_names().begin(),
                filter.stored_names().end());
-  const auto read = [&]() -> absl::StatusOr<Part> {
-    Part part;
-    MAPSIEVE_ASSIGN_OR_RETURN(
-        part.points,
-        ReadPoints(snapshot, chunk, {.attributes = std::move(names)}));
-    MAPSIEVE_ASSIGN_OR_RETURN(part.passed,
-                              filter.Select(chunk, part.points, stop));
-    return part;
-  };
-  absl::StatusOr<Part> part = read();
+  Part part;
+  MAPSIEVE_ASSIGN_OR_RETURN(
+      part.points,
+      ReadPoints(snapshot, chunk, {.attributes = std::move(names)}));
+  MAPSIEVE_ASSIGN_OR_RETURN(part.passed,
+                            filter.Select(chunk, part.points, stop));
+  return part;
+}
+
+absl::StatusOr<std::optional<AnswerSource::Part>> AnswerSource::Accept(
+    const ChunkRef& chunk, absl::StatusOr<Part> part,
+    MissingChunks* missing) const {
   if (part.ok()) return *std::move(part);
   MAPSIEVE_RETURN_IF_ERROR(CheckRead(chunk, part.status(), missing));
   return std::nullopt;
@@ -216,8 +217,9 @@ absl::Status AnswerStream::LoadChunk() {
   // A choice counts on the points that were there.
   MAPSIEVE_ASSIGN_OR_RETURN(
       std::optional<AnswerSource::Part> part,
-      source_.Read(*chunk, source_.columns.stored_names(),
-                   choice_ == nullptr ? &missing_ : nullptr));
+      source_.Accept(*chunk,
+                     source_.Read(*chunk, source_.columns.stored_names()),
+                     choice_ == nullptr ? &missing_ : nullptr));
   if (!part.has_value()) return absl::OkStatus();
   auto& [points, passed] = *part;
   std::vector<LatticePoint> positions;

@@ -58,14 +58,16 @@ struct AnswerSource {
     core::LatticeCloud points;
     PointFilter::Passed passed;
   };
-  /// Reads the columns `names` and those of the filter. Nothing: the chunk is
-  /// damaged, which the answer allows, and was added to `missing`; null: damage
-  /// is kDataLoss.
-  absl::StatusOr<std::optional<Part>> Read(const storage::ChunkRef& chunk,
-                                           std::vector<std::string> names,
-                                           MissingChunks* missing) const;
+  /// Reads the columns `names` and those of the filter. Thread-safe.
+  absl::StatusOr<Part> Read(const storage::ChunkRef& chunk,
+                            std::vector<std::string> names) const;
+  /// What Read gave. Nothing: the chunk is damaged, which the answer allows,
+  /// and was added to `missing`; null: damage is kDataLoss.
+  absl::StatusOr<std::optional<Part>> Accept(const storage::ChunkRef& chunk,
+                                             absl::StatusOr<Part> part,
+                                             MissingChunks* missing) const;
   /// The bytes of a chunk that is a block of the answer as it is stored;
-  /// nothing: it is none, or missing as for Read.
+  /// nothing: it is none, or missing as for Accept.
   absl::StatusOr<std::optional<std::vector<std::byte>>> ReadAsStored(
       const storage::ChunkRef& chunk, MissingChunks* missing) const;
 

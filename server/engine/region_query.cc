@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <deque>
+#include <future>
 #include <limits>
 #include <optional>
 #include <span>
@@ -10,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/bulk_vector.h"
 #include "core/base/bytes.h"
 #include "core/base/hash.h"
 #include "core/base/status.h"
@@ -41,8 +44,11 @@ constexpr int64_t kChosenBytes = 80;
 /// Bytes of a point in a block that a budget in bytes is taken to buy at most,
 /// for the memory of the choice: few queries get more points.
 constexpr int64_t kCheapPointBytes = 3;
-/// A chunk decoded, its selected rows, and those rows waiting to be sent.
+/// A chunk decoded, its selected rows, and those rows waiting to be sent; or
+/// before that, kMaxChunksAhead with a few of their columns.
 constexpr int64_t kChunkCopies = 3;
+/// Chunks of candidates that are read at the same time.
+constexpr size_t kMaxChunksAhead = kChunkCopies;
 /// Blocks before and after they are encoded, and two messages on their way.
 constexpr int64_t kBatchCopies = 2 * kMaxBlocksAhead + 3;
 
@@ -58,6 +64,12 @@ struct Candidates {
   std::vector<Label> labels;
   /// For each, its number in the order of the walk.
   std::vector<uint32_t> order;
+};
+
+/// A chunk that another thread reads.
+struct ComingPart {
+  ChunkRef chunk;
+  std::future<absl::StatusOr<AnswerSource::Part>> part;
 };
 
 class RegionQuery final : public QueryCursor {
@@ -192,17 +204,29 @@ class RegionQuery final : public QueryCursor {
 
   absl::StatusOr<Candidates> Gather() {
     Candidates found;
-    found.positions.reserve(static_cast<size_t>(max_candidates_));
+    ReserveBulk(found.positions, static_cast<size_t>(max_candidates_));
     found.labels.reserve(static_cast<size_t>(max_candidates_));
     ChunkWalk walk = source_.NewWalk();
+    bool is_walked = false;
+    // Chunks being read at the same time.
+    std::deque<ComingPart> coming;
     while (true) {
-      MAPSIEVE_RETURN_IF_ERROR(source_.CheckStop());
-      MAPSIEVE_ASSIGN_OR_RETURN(const std::optional<ChunkRef> chunk,
-                                walk.Next());
-      if (!chunk.has_value()) break;
-      if (filter_.CountCandidates(*chunk) == 0) continue;
-      MAPSIEVE_ASSIGN_OR_RETURN(const std::optional<AnswerSource::Part> part,
-                                source_.Read(*chunk, {}, &missing_));
+      while (!is_walked && coming.size() < kMaxChunksAhead) {
+        MAPSIEVE_RETURN_IF_ERROR(source_.CheckStop());
+        MAPSIEVE_ASSIGN_OR_RETURN(std::optional<ChunkRef> chunk, walk.Next());
+        is_walked = !chunk.has_value();
+        if (is_walked || filter_.CountCandidates(*chunk) == 0) continue;
+        auto part = std::async(std::launch::async, [this, chunk = *chunk] {
+          return source_.Read(chunk, {});
+        });
+        coming.push_back({*std::move(chunk), std::move(part)});
+      }
+      if (coming.empty()) break;
+      ComingPart next = std::move(coming.front());
+      coming.pop_front();
+      MAPSIEVE_ASSIGN_OR_RETURN(
+          const std::optional<AnswerSource::Part> part,
+          source_.Accept(next.chunk, next.part.get(), &missing_));
       if (!part.has_value()) continue;
       for (const uint32_t row : part->passed.rows) {
         found.positions.push_back(part->points.positions[row]);
@@ -217,7 +241,7 @@ class RegionQuery final : public QueryCursor {
     // The walk gives a run for each of its few groups.
     MAPSIEVE_ASSIGN_OR_RETURN(
         sorted.order, core::MergeMortonRuns(found.positions, source_.stop));
-    sorted.positions.reserve(found.positions.size());
+    ReserveBulk(sorted.positions, found.positions.size());
     sorted.labels.reserve(found.labels.size());
     for (const uint32_t row : sorted.order) {
       sorted.positions.push_back(found.positions[row]);
