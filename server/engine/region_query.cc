@@ -137,7 +137,7 @@ class RegionQuery final : public QueryCursor {
             kChunkCopiesAhead * ChunkBytes(columns_, filter_, largest) +
             choice_bytes_ + kCandidateBytes * max_candidates_,
         absl::StrCat("choosing under a budget among ", max_candidates_,
-                     " points"),
+                     " points (fewer at a coarser depth)"),
         source_.stop);
   }
 

@@ -44,8 +44,29 @@ TEST(MortonOrder, KeepsTheOrderOfEqualPointsOfAscendingRuns) {
                        return MortonLess(points[a], points[b]);
                      });
     EXPECT_EQ(MortonOrder(points), expected);
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<uint32_t> merged,
+                                  MergeMortonRuns(points, {}));
+    EXPECT_EQ(merged, expected);
     EXPECT_EQ(IsMortonSorted(points), run_count < 2);
   }
+}
+
+TEST(MergeMortonRuns, SortsAnyOrder) {
+  std::vector<LatticePoint> points =
+      testing::SceneCloud(3000, 0.02, 8).positions;
+  std::mt19937 random(3);
+  std::shuffle(points.begin(), points.end(), random);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<uint32_t> merged,
+                                MergeMortonRuns(points, {}));
+  EXPECT_EQ(merged, MortonOrder(points));
+}
+
+TEST(MergeMortonRuns, StopsWhenAsked) {
+  std::vector<LatticePoint> points = {{5, 0, 0}, {1, 0, 0}};
+  std::stop_source stop;
+  stop.request_stop();
+  EXPECT_THAT(MergeMortonRuns(points, stop.get_token()),
+              testing::StatusIs(absl::StatusCode::kCancelled, ::testing::_));
 }
 
 TEST(MergeDuplicates, KeepsTheSmallestAttributesWhateverTheOrder) {
