@@ -15,6 +15,9 @@ void ProjContextDeleter::operator()(pj_ctx* context) const {
 }
 
 absl::StatusOr<ProjContext> OpenProj() {
+  // libgeotiff asks for units in the context of the process.
+  [[maybe_unused]] static const PJ_LOG_LEVEL kSilenced =
+      proj_log_level(nullptr, PJ_LOG_NONE);
   ProjContext context(proj_context_create());
   if (context == nullptr) {
     return absl::ResourceExhaustedError("PROJ has no memory for a context");

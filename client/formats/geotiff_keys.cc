@@ -100,12 +100,44 @@ constexpr std::array<Parameter, 2> kFalseOrigin = {
 
 std::string Number(double value) { return absl::StrFormat("%.15g", value); }
 
+// The directory of those keys whose values are there, for libgeotiff believes
+// the numbers of keys and values.
+std::vector<std::byte> WholeKeys(const GeoKeyRecords& records) {
+  constexpr size_t kMaxKeys = 1000;
+  const size_t entries = std::min(records.directory.size() / 8, kMaxKeys);
+  ByteWriter out;
+  // Version, revision, minor revision; the number of keys follows.
+  out.Put(uint16_t{1});
+  out.Put(uint16_t{1});
+  out.Put(uint16_t{0});
+  ByteWriter keys;
+  uint16_t count = 0;
+  for (size_t i = 1; i < entries; ++i) {
+    const auto entry = std::span(records.directory).subspan(8 * i, 8);
+    const auto at = [&](size_t offset) {
+      return size_t{LoadLittleEndian<uint16_t>(entry.data() + offset)};
+    };
+    const size_t location = at(2);
+    const size_t end = at(6) + at(4);
+    const bool is_whole =
+        (location == 0 && at(4) == 1) ||
+        (location == 34736 && end <= records.doubles.size() / sizeof(double)) ||
+        (location == 34737 && end <= records.text.size());
+    if (!is_whole || at(4) == 0) continue;
+    keys.PutBytes(entry);
+    ++count;
+  }
+  out.Put(count);
+  out.PutBytes(keys.bytes());
+  return std::move(out.bytes());
+}
+
 // Parses keys as libgeotiff does. Not to be moved: libgeotiff points into it.
 class Definition {
  public:
   Definition(const GeoKeyRecords& records, pj_ctx* proj)
       : tags_(ST_Create(), &ST_Destroy), keys_(nullptr, &GTIFFree) {
-    Set(34735, STT_SHORT, records.directory, sizeof(uint16_t));
+    Set(34735, STT_SHORT, WholeKeys(records), sizeof(uint16_t));
     Set(34736, STT_DOUBLE, records.doubles, sizeof(double));
     std::vector<std::byte> text = records.text;
     text.push_back(std::byte{0});

@@ -583,8 +583,9 @@ TEST(LasReader, FindsTheUnit) {
 TEST(LasReader, TellsWhatItMakesOfKeys) {
   const auto info = [](const std::vector<std::vector<uint16_t>>& keys,
                        const std::vector<double>& values) {
+    // A number of keys that is wrong.
     std::string directory = Packed(uint16_t{1}, uint16_t{1}, uint16_t{0},
-                                   static_cast<uint16_t>(keys.size()));
+                                   static_cast<uint16_t>(keys.size() + 500));
     for (const std::vector<uint16_t>& key : keys) {
       // A key, where its value is, and the value.
       directory += Packed(key[0], key[1], uint16_t{1}, key[2]);
