@@ -1,5 +1,6 @@
 #include <cmath>
 #include <cstdint>
+#include <cstdlib>
 #include <cstring>
 #include <limits>
 #include <random>
@@ -272,6 +273,21 @@ TEST(LasWriter, WritesCodesAsWkt) {
     // The bit says WKT, so there are no keys.
     EXPECT_EQ(file.Read().find("GeoTIFF"), std::string::npos);
   }
+}
+
+TEST(LasWriter, NamesTheDatabaseThatItMisses) {
+  const TemporaryFile file(".las");
+  ASSERT_EQ(setenv("PROJ_DATA", "/no/such/folder", 1), 0);
+  const absl::Status codes =
+      WritePointFile(file.path(), SomePoints(1), {.crs_wkt = "EPSG:26915"});
+  const absl::Status wkt =
+      WritePointFile(file.path(), SomePoints(1), {.crs_wkt = "PROJCS[\"a\"]"});
+  unsetenv("PROJ_DATA");
+  EXPECT_THAT(codes, StatusIs(absl::StatusCode::kFailedPrecondition,
+                              HasSubstr("PROJ_DATA")));
+  MAPSIEVE_EXPECT_OK(wkt);
+  MAPSIEVE_EXPECT_OK(
+      WritePointFile(file.path(), SomePoints(1), {.crs_wkt = "EPSG:26915"}));
 }
 
 TEST(LasWriter, MarksItsPointFormatsAsOthersDemand) {
