@@ -10,7 +10,8 @@ build=(
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev
   libabsl-dev libeigen3-dev libnanoflann-dev liblz4-dev libzstd-dev libxxhash-dev liblzf-dev
   libsqlite3-dev libcli11-dev nlohmann-json3-dev libspdlog-dev libpng-dev
-  libfreetype-dev libyaml-cpp-dev liboctomap-dev fonts-dejavu-core gnuplot-nox
+  libfreetype-dev libyaml-cpp-dev liboctomap-dev libproj-dev libgeotiff-dev
+  fonts-dejavu-core gnuplot-nox
   libgtest-dev libgmock-dev
   clang-14 libclang-rt-14-dev
 )
@@ -20,7 +21,7 @@ command -v npm >/dev/null || tests+=(nodejs npm)
 runtime=(
   libgrpc++1.51 libprotobuf32 libabsl20220623 liblz4-1 libzstd1 libxxhash0
   liblzf1 libsqlite3-0 libspdlog1.10 libfmt9 libpng16-16 libfreetype6
-  libyaml-cpp0.7 liboctomap1.9
+  libyaml-cpp0.7 liboctomap1.9 libproj25 libgeotiff5
   fonts-dejavu-core gnuplot-nox
 )
 

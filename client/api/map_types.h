@@ -29,7 +29,8 @@ struct MapSpec {
   /// server's default, 2^15 steps.
   double tile_edge = 0;
   std::string display_name;
-  /// WKT or "EPSG:n"; empty: that of the first upload that names one.
+  /// WKT, "EPSG:n", or "EPSG:n+m" with m for heights; empty: that of the first
+  /// upload that names one.
   std::string crs_wkt;
   /// What robots call the map's frame; empty: as crs_wkt.
   std::string frame_id;

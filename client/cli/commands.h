@@ -34,7 +34,7 @@ struct CreateCommand {
   /// In map units; 0: the server's defaults.
   double step = 0;
   double tile_edge = 0;
-  /// WKT or "EPSG:n"; empty: that of the first upload that has one.
+  /// WKT, "EPSG:n" or "EPSG:n+m"; empty: that of the first upload that has one.
   std::string crs;
   /// As `crs`.
   std::string frame_id;

@@ -3,6 +3,7 @@
 #include <thread>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "core/base/mutex.h"
 #include "core/base/status.h"
 #include "core/geometry/crs.h"
@@ -100,6 +101,7 @@ absl::Status FileListBlocks::Rewind() {
   refused_before_ = {};
   source_ = {};
   differences_.clear();
+  crs_problems_.clear();
   return absl::OkStatus();
 }
 
@@ -109,6 +111,9 @@ absl::Status FileListBlocks::OpenNext() {
   file_.emplace(path, options_, lattice_);
   MAPSIEVE_RETURN_IF_ERROR(Annotate(file_->Rewind(), path));
   AddSource(file_->source());
+  if (const std::string& problem = file_->crs_problem(); !problem.empty()) {
+    crs_problems_.push_back(absl::StrCat(path, ": ", problem));
+  }
   return absl::OkStatus();
 }
 

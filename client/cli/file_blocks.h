@@ -32,6 +32,8 @@ class FileBlocks final : public BlockSource {
   /// Of the open file; Rewind comes first. What a server would not take as text
   /// is left out.
   UploadSource source() const override;
+  /// That of PointFileInfo.
+  const std::string& crs_problem() const { return reader_->info().crs_problem; }
 
  private:
   const std::filesystem::path path_;
@@ -60,6 +62,8 @@ class FileListBlocks final : public BlockSource {
   UploadSource source() const override { return source_; }
   /// What the files opened so far do not agree on, in words.
   const std::set<std::string>& differences() const { return differences_; }
+  /// The crs_problem of each file opened so far that has one, behind its path.
+  const std::vector<std::string>& crs_problems() const { return crs_problems_; }
 
  private:
   absl::Status OpenNext();
@@ -75,6 +79,7 @@ class FileListBlocks final : public BlockSource {
   core::RefusedCounts refused_before_;
   UploadSource source_;
   std::set<std::string> differences_;
+  std::vector<std::string> crs_problems_;
 };
 
 }  // namespace mapsieve::client

@@ -1,5 +1,6 @@
 #include <chrono>
 #include <cmath>
+#include <cstdio>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -51,6 +52,13 @@ struct Sample {
 core::Lattice LatticeOf(const SampleCommand& command) {
   return core::Lattice(
       static_cast<int64_t>(std::nearbyint(command.step * 1e9)));
+}
+
+/// A line where the CRS of an input is not read whole.
+void TellCrsProblem(const std::string& path, const PointFileInfo& info) {
+  if (info.crs_problem.empty()) return;
+  std::fprintf(stderr, "mapsieve: %s: the CRS is not read whole: %s\n",
+               path.c_str(), info.crs_problem.c_str());
 }
 
 absl::StatusOr<Sample> TakeSample(core::PointCloud input,
@@ -119,6 +127,7 @@ absl::Status RunSample(const CommonOptions& common,
   MAPSIEVE_ASSIGN_OR_RETURN(const std::unique_ptr<PointReader> reader,
                             OpenPointFile(command.input, read_options));
   const PointFileInfo info = reader->info();
+  TellCrsProblem(command.input, info);
   MAPSIEVE_ASSIGN_OR_RETURN(core::PointCloud input,
                             ReadPointFile(command.input, read_options));
   const size_t points_in = input.size();
@@ -165,6 +174,7 @@ absl::Status RunConvert(const CommonOptions& common,
       const std::unique_ptr<PointReader> reader,
       OpenPointFile(command.input, {.column_names = command.column_names}));
   const PointFileInfo& info = reader->info();
+  TellCrsProblem(command.input, info);
   WriteOptions options = {.attributes = info.attributes,
                           .crs_wkt = info.crs_wkt,
                           .frame_id = info.frame_id};

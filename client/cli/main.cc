@@ -96,7 +96,8 @@ void AddCreate(CLI::App& app, const CommonOptions& common, Run& run) {
                       "Edge of a processing tile in map units, rounded up to a "
                       "power of two of steps; results do not depend on it");
   command->add_option("--crs", options->crs,
-                      "Coordinate reference system, EPSG:n or WKT, default "
+                      "Coordinate reference system, EPSG:n, EPSG:n+m (m: "
+                      "heights) or WKT, default "
                       "that of the first upload that names one; nothing is "
                       "converted");
   command->add_option("--frame-id", options->frame_id,

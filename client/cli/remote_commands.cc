@@ -276,6 +276,9 @@ absl::Status RunUpload(const CommonOptions& common,
       report = client.Upload(command.map, blocks, Show(bar), {}, command.again);
     }
     if (!report.ok()) return Annotate(report.status(), file);
+    if (!blocks.crs_problem().empty()) {
+      report->warnings.push_back(CrsWarning(blocks.crs_problem()));
+    }
     Json result = {{"file", file}};
     result.update(UploadJson(*report, Step(map), SecondsSince(start)));
     files.push_back(std::move(result));
@@ -411,6 +414,9 @@ absl::Status RunReplaceRegion(const CommonOptions& common,
     report->warnings.push_back(
         {"files_differ", absl::StrCat("the files differ in their ", what,
                                       ", which the map was not told")});
+  }
+  for (const std::string& problem : blocks.crs_problems()) {
+    report->warnings.push_back(CrsWarning(problem));
   }
   Json result = {{"map", upload.map},
                  {"removed_point_count",

@@ -119,4 +119,11 @@ std::string UploadText(const std::string& title, const UploadReport& report,
   return text;
 }
 
+UploadWarning CrsWarning(const std::string& problem) {
+  return {"crs_not_read",
+          absl::StrCat("the CRS of the file is not read whole: ", problem,
+                       "; state it with \"create MAP --crs\" as EPSG:n, "
+                       "EPSG:n+m (m: heights) or WKT")};
+}
+
 }  // namespace mapsieve::client

@@ -19,6 +19,9 @@ Json UploadJson(const UploadReport& report, double step, double seconds);
 std::string UploadText(const std::string& title, const UploadReport& report,
                        double step);
 
+/// The warning of an upload from a file with this PointFileInfo::crs_problem.
+UploadWarning CrsWarning(const std::string& problem);
+
 }  // namespace mapsieve::client
 
 #endif  // MAPSIEVE_CLIENT_CLI_UPLOAD_REPORT_H_

@@ -2,6 +2,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/formats/batch_columns.h"
+#include "client/formats/coordinate_systems.h"
 #include "core/base/status.h"
 #include "core/geometry/crs.h"
 
@@ -22,7 +23,7 @@ void TakeHeaderComment(std::string_view comment, PointFileInfo& info) {
     info.frame_id = CleanText(view.substr(kFrameId.size()), ' ');
   } else if (view.starts_with(kCrs)) {
     std::string crs = CleanText(view.substr(kCrs.size()), ' ');
-    std::string unit = core::UnitOfCrs(crs);
+    std::string unit = UnitOfCodeOrWkt(crs);
     if (core::ParseEpsgName(crs) == 0 && unit.empty()) return;
     info.crs_wkt = std::move(crs);
     info.unit = std::move(unit);
@@ -38,7 +39,15 @@ std::string MakeHeaderComments(std::string_view prefix,
     absl::StrAppend(&lines, ToAbsl(prefix), ToAbsl(key), clean, "\n");
   };
   add(kFrameId, options.frame_id);
-  add(kCrs, options.crs_wkt);
+  const int code = core::EpsgCodeOf(options.crs_wkt);
+  const int heights = core::VerticalEpsgCodeOf(options.crs_wkt);
+  if (options.crs_wkt.size() <= kMaxTextBytes || code == 0) {
+    add(kCrs, options.crs_wkt);
+  } else if (heights == 0) {
+    add(kCrs, absl::StrCat("EPSG:", code));
+  } else {
+    add(kCrs, absl::StrCat("EPSG:", code, "+", heights));
+  }
   return lines;
 }
 

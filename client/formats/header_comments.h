@@ -11,11 +11,12 @@
 namespace mapsieve::client {
 
 /// Takes the text of a comment into `info` if it is one of these; of a CRS only
-/// WKT and "EPSG:n", for other programs write such comments too.
+/// WKT and codes of EPSG, for other programs write such comments too.
 void TakeHeaderComment(std::string_view comment, PointFileInfo& info);
 
 /// The lines for `options`, each behind `prefix`. A text that makes a line too
-/// long for readers of such files, that is a CRS as long WKT, is left out.
+/// long for readers of such files is left out; of a CRS as long WKT there are
+/// the codes of EPSG that it bears, "EPSG:n" or "EPSG:n+m".
 std::string MakeHeaderComments(std::string_view prefix,
                                const WriteOptions& options);
 

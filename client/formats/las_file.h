@@ -23,10 +23,11 @@ namespace mapsieve::client {
 /// * bytes that nothing describes become uint8 columns: NAME_0, … or extra_0, …
 ///   All are such bytes where the description is longer than the record;
 /// * the name of a standard field becomes extra_NAME.
-/// The CRS is the WKT record, else "EPSG:n" of the GeoTIFF keys, else the WKT
-/// that libLAS left; the unit that of the WKT, else of the keys. Variable
-/// length records beyond the damaged or impossible end of their area are passed
-/// over, for the points do not depend on them.
+/// The CRS is the WKT record, else what CrsOfGeoKeys makes of the GeoTIFF keys;
+/// the WKT that libLAS left stands for keys that define a system of their own,
+/// and for none. The unit is that of the WKT, else of the keys, else of their
+/// code. Variable length records beyond the damaged or impossible end of their
+/// area are passed over, for the points do not depend on them.
 ///
 /// kUnimplemented: compressed points (LAZ), another version or point format;
 /// kDataLoss: a damaged header, or a file too short for the points declared.
@@ -45,12 +46,14 @@ absl::StatusOr<std::unique_ptr<PointReader>> OpenLasFile(
 /// NaN, marked as "no data", and come back missing. Without the attributes,
 /// points are the single return of their pulse.
 /// The offset is options.origin, or where that is (0, 0, 0) the middle of the
-/// first batch. A CRS "EPSG:n" is written as GeoTIFF keys, any other as WKT.
+/// first batch. The CRS is written as WKT: codes as PROJ has them, or as they
+/// are if it does not know them; any other text as it is.
 ///
 /// Write: kInvalidArgument for a coordinate that is not finite or beyond int32
 /// at this scale, naming one that would do. Create: kInvalidArgument for a name
 /// longer than 32 bytes, more than 341 extra attributes, a CRS over 65535
-/// bytes, a step that is not positive.
+/// bytes, a step that is not positive. kFailedPrecondition: a CRS of codes, and
+/// no database of PROJ.
 absl::StatusOr<std::unique_ptr<PointWriter>> CreateLasFile(
     const std::filesystem::path& path, const WriteOptions& options);
 

@@ -10,7 +10,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/formats/batch_columns.h"
+#include "client/formats/coordinate_systems.h"
 #include "client/formats/file_input.h"
+#include "client/formats/geotiff_keys.h"
 #include "client/formats/las_file.h"
 #include "client/formats/las_layout.h"
 #include "client/formats/record_columns.h"
@@ -61,17 +63,10 @@ struct Source {
   }
 };
 
-// What a directory of GeoTIFF keys tells.
-struct GeoKeys {
-  // 0: none.
-  int epsg = 0;
-  std::string unit;
-};
-
 struct Metadata {
   std::string wkt;
   std::string liblas_wkt;
-  GeoKeys keys;
+  GeoKeyRecords keys;
   std::vector<std::byte> extra_bytes;
 };
 
@@ -188,58 +183,16 @@ absl::StatusOr<Header> ReadHeader(const InputFile& file) {
   return header;
 }
 
-// The name of a unit of length by its EPSG code; empty if it is none.
-std::string NameOfLengthUnit(int code) {
-  switch (code) {
-    case 9001:
-      return std::string(core::kMetre);
-    case 9002:
-      return std::string(core::kFoot);
-    case 9003:
-      return std::string(core::kUsSurveyFoot);
-    default:
-      // Codes of units of length; files have others there by mistake.
-      return code > 9003 && code < 9100 ? absl::StrCat("EPSG unit ", code) : "";
-  }
-}
-
-GeoKeys ReadGeoKeys(std::span<const std::byte> bytes) {
-  constexpr int kModel = 1024;
-  constexpr int kProjectedModel = 1;
-  constexpr int kGeographicModel = 2;
-  constexpr int kGeographic = 2048;
-  constexpr int kProjected = 3072;
-  constexpr int kLengthUnit = 3076;
-  int model = 0;
-  int projected = 0;
-  int geographic = 0;
-  int length_unit = 0;
-  // The first entry is the directory's own head.
-  for (size_t at = 8; at + 8 <= bytes.size(); at += 8) {
-    const int key = At<uint16_t>(bytes, at);
-    const int location = At<uint16_t>(bytes, at + 2);
-    const int value = At<uint16_t>(bytes, at + 6);
-    // 0 is undefined and 32767 user-defined.
-    if (location != 0 || value == 0 || value == 32767) continue;
-    if (key == kModel) model = value;
-    if (key == kProjected && projected == 0) projected = value;
-    if (key == kGeographic) geographic = value;
-    if (key == kLengthUnit) length_unit = value;
-  }
-  // A projection of the file's own has the geographic system as its base.
-  const bool is_projected = projected != 0 || model == kProjectedModel;
-  GeoKeys keys = {.epsg = is_projected ? projected : geographic,
-                  .unit = NameOfLengthUnit(length_unit)};
-  if (model == kGeographicModel) keys.unit = core::kDegree;
-  return keys;
-}
-
 void TakeRecord(std::string_view user, int id,
                 std::span<const std::byte> payload, Metadata& metadata) {
   if (user == "LASF_Projection" && id == 2112) {
     metadata.wkt = CleanText(TextAt(payload, 0, payload.size()), ' ');
   } else if (user == "LASF_Projection" && id == 34735) {
-    metadata.keys = ReadGeoKeys(payload);
+    metadata.keys.directory.assign(payload.begin(), payload.end());
+  } else if (user == "LASF_Projection" && id == 34736) {
+    metadata.keys.doubles.assign(payload.begin(), payload.end());
+  } else if (user == "LASF_Projection" && id == 34737) {
+    metadata.keys.text.assign(payload.begin(), payload.end());
   } else if (user == "liblas" && id == 2112) {
     metadata.liblas_wkt = CleanText(TextAt(payload, 0, payload.size()), ' ');
   } else if (user == "LASF_Spec" && id == 4) {
@@ -449,6 +402,28 @@ void Decode(const Source& source, const std::byte* records, size_t record_bytes,
   });
 }
 
+// The CRS of `info`, its problem, and the unit.
+void TakeCrs(const Metadata& metadata, PointFileInfo& info) {
+  const GeoKeys keys = ReadGeoKeys(metadata.keys.directory);
+  if (!metadata.wkt.empty()) {
+    info.crs_wkt = metadata.wkt;
+  } else if ((keys.horizontal == 0 ||
+              keys.horizontal == GeoKeys::kUserDefined) &&
+             !metadata.liblas_wkt.empty()) {
+    // Of the same system, with all its names.
+    info.crs_wkt = metadata.liblas_wkt;
+  } else {
+    GeoKeyCrs crs = CrsOfGeoKeys(keys, metadata.keys);
+    info.crs_wkt = std::move(crs.text);
+    info.crs_problem = std::move(crs.problem);
+  }
+  // Keys may have another one than their code has.
+  const bool is_code = core::ParseEpsgName(info.crs_wkt) != 0;
+  info.unit =
+      is_code && !keys.unit.empty() ? keys.unit : UnitOfCodeOrWkt(info.crs_wkt);
+  if (info.unit.empty()) info.unit = keys.unit;
+}
+
 class LasReader : public PointReader {
  public:
   LasReader(std::shared_ptr<const InputFile> file, const Header& header,
@@ -528,15 +503,7 @@ absl::StatusOr<std::unique_ptr<PointReader>> OpenLasFile(
     info.attributes.push_back(source.spec());
   }
   MAPSIEVE_RETURN_IF_ERROR(CheckAttributes(file->name(), info.attributes));
-  if (!metadata.wkt.empty()) {
-    info.crs_wkt = metadata.wkt;
-  } else if (metadata.keys.epsg != 0) {
-    info.crs_wkt = absl::StrCat("EPSG:", metadata.keys.epsg);
-  } else {
-    info.crs_wkt = metadata.liblas_wkt;
-  }
-  info.unit = core::UnitOfCrs(info.crs_wkt);
-  if (info.unit.empty()) info.unit = metadata.keys.unit;
+  TakeCrs(metadata, info);
   info.coordinate_step =
       std::min({std::abs(header.scale[0]), std::abs(header.scale[1]),
                 std::abs(header.scale[2])});

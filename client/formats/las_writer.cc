@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/formats/batch_columns.h"
+#include "client/formats/coordinate_systems.h"
 #include "client/formats/las_file.h"
 #include "client/formats/las_layout.h"
 #include "client/formats/output_file.h"
@@ -328,31 +329,7 @@ class LasWriter : public PointWriter {
       }
       ++record_count;
     }
-    const auto epsg =
-        static_cast<uint16_t>(core::ParseEpsgName(options_.crs_wkt));
-    const bool has_wkt = epsg == 0 && !options_.crs_wkt.empty();
-    if (epsg != 0) {
-      // Codes of geographic systems are 4000 to 4999.
-      const bool geographic = epsg >= 4000 && epsg < 5000;
-      const std::array<uint16_t, 12> keys = {
-          1,
-          1,
-          0,
-          2,  // head
-          1024,
-          0,
-          1,
-          static_cast<uint16_t>(geographic ? 2 : 1),  // kind
-          static_cast<uint16_t>(geographic ? 2048 : 3072),
-          0,
-          1,
-          epsg};
-      PutVlrHead(records, "LASF_Projection", 34735, sizeof(keys),
-                 "GeoTIFF keys");
-      records.PutBytes(AsBytes(keys));
-      ++record_count;
-    }
-    if (has_wkt) {
+    if (!options_.crs_wkt.empty()) {
       PutVlrHead(records, "LASF_Projection", 2112, options_.crs_wkt.size() + 1,
                  "CRS as WKT");
       records.PutBytes(TextBytes(options_.crs_wkt));
@@ -363,8 +340,7 @@ class LasWriter : public PointWriter {
     ByteWriter head;
     PutText(head, "LASF", 4);
     head.Put(uint16_t{0});
-    // WKT: point formats from 6 on must say so. PDAL refuses files that do not,
-    // and takes GeoTIFF keys where there is no WKT.
+    // WKT: point formats from 6 on must say so. PDAL refuses files that do not.
     head.Put(uint16_t{0x10});
     PutText(head, "", 16);
     head.Put(uint8_t{1});
@@ -442,8 +418,17 @@ absl::Status CheckOptions(const std::string& name,
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<PointWriter>> CreateLasFile(
-    const std::filesystem::path& path, const WriteOptions& options) {
+    const std::filesystem::path& path, const WriteOptions& given) {
   const std::string name = path.string();
+  WriteOptions options = given;
+  if (core::ParseEpsgName(given.crs_wkt) != 0) {
+    absl::StatusOr<std::string> wkt = WktOfCrs(given.crs_wkt);
+    if (wkt.ok()) {
+      options.crs_wkt = *std::move(wkt);
+    } else if (!absl::IsNotFound(wkt.status())) {
+      return Annotate(wkt.status(), name);
+    }
+  }
   MAPSIEVE_RETURN_IF_ERROR(CheckOptions(name, options));
   const int point_format = ChoosePointFormat(options.attributes);
   const std::vector<LasField> fields = LasFields(point_format);

@@ -25,9 +25,12 @@ struct PointFileInfo {
   std::optional<int64_t> point_count;
   /// Attributes of every batch, in file order; x, y, z are not among them.
   std::vector<core::ColumnSpec> attributes;
-  /// Coordinate reference system as WKT, or "EPSG:n" where the file gives only
-  /// a code; empty if it names none.
+  /// Coordinate reference system as WKT, or "EPSG:n" or "EPSG:n+m" (m: heights)
+  /// where the file gives only codes; empty if it names none.
   std::string crs_wkt;
+  /// What the file tells of its CRS and crs_wkt does not, and why, for people;
+  /// empty: nothing.
+  std::string crs_problem;
   /// What robots call the frame of the points; PLY and PCD may name it.
   std::string frame_id;
   /// Of the horizontal coordinates where the file tells it: a name of
@@ -88,8 +91,9 @@ struct WriteOptions {
   /// A point near the data, for the offset of LAS; (0, 0, 0): it is taken from
   /// the first batch. No format shifts the points by it.
   core::Point3 origin;
-  /// As in PointFileInfo. LAS keeps any CRS, and no frame; PLY and PCD keep the
-  /// frame, and a CRS of at most 900 bytes, in comments.
+  /// As in PointFileInfo. LAS keeps any CRS, as WKT, and no frame; PLY and PCD
+  /// keep the frame, and a CRS that has at most 900 bytes or bears codes of
+  /// EPSG, in comments.
   std::string crs_wkt;
   std::string frame_id;
   /// PCD and PLY: coordinates as float32, which many readers insist on. At a

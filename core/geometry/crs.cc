@@ -113,6 +113,46 @@ const WktNode& Horizontal(const WktNode& crs) {
   return Horizontal(crs.children.front());
 }
 
+/// A code at the start of `text`, which it takes; 0: there is none.
+int TakeCode(std::string_view& text) {
+  constexpr int kUserDefined = 32767;
+  int code = 0;
+  const auto [end, error] =
+      std::from_chars(text.data(), text.data() + text.size(), code);
+  if (error != std::errc()) return 0;
+  text.remove_prefix(static_cast<size_t>(end - text.data()));
+  return code > 0 && code < kUserDefined ? code : 0;
+}
+
+struct EpsgCodes {
+  int horizontal = 0;
+  int vertical = 0;
+};
+
+/// Those of "EPSG:n" and "EPSG:n+m"; none of any other text.
+EpsgCodes ParseCodes(std::string_view text) {
+  constexpr std::string_view kPrefix = "EPSG:";
+  if (!text.starts_with(kPrefix)) return {};
+  text.remove_prefix(kPrefix.size());
+  EpsgCodes codes = {.horizontal = TakeCode(text), .vertical = 0};
+  if (text.starts_with('+')) {
+    text.remove_prefix(1);
+    codes.vertical = TakeCode(text);
+    if (codes.vertical == 0) return {};
+  }
+  return text.empty() && codes.horizontal != 0 ? codes : EpsgCodes();
+}
+
+/// The EPSG code that a system bears; 0: none.
+int CodeOfNode(const WktNode& system) {
+  for (const WktNode& child : system.children) {
+    if (child.Is({"AUTHORITY", "ID"}) && child.values.size() > 1) {
+      return ParseCodes(child.values[0] + ":" + child.values[1]).horizontal;
+    }
+  }
+  return 0;
+}
+
 std::optional<double> NumberOf(const std::string& text) {
   double value = 0;
   const auto [end, error] =
@@ -163,27 +203,19 @@ std::string NameOfUnit(const WktNode& unit, bool is_angle) {
 
 }  // namespace
 
-int ParseEpsgName(std::string_view text) {
-  constexpr std::string_view kPrefix = "EPSG:";
-  constexpr int kUserDefined = 32767;
-  if (!text.starts_with(kPrefix)) return 0;
-  text.remove_prefix(kPrefix.size());
-  int code = 0;
-  const auto [end, error] =
-      std::from_chars(text.data(), text.data() + text.size(), code);
-  const bool is_code = error == std::errc() &&
-                       end == text.data() + text.size() && code > 0 &&
-                       code < kUserDefined;
-  return is_code ? code : 0;
-}
+int ParseEpsgName(std::string_view text) { return ParseCodes(text).horizontal; }
 
 int EpsgCodeOf(std::string_view crs) {
   const std::optional<WktNode> root = ParseWkt(crs);
-  if (!root.has_value()) return ParseEpsgName(crs);
-  for (const WktNode& child : Horizontal(*root).children) {
-    if (child.Is({"AUTHORITY", "ID"}) && child.values.size() > 1) {
-      return ParseEpsgName(child.values[0] + ":" + child.values[1]);
-    }
+  return root.has_value() ? CodeOfNode(Horizontal(*root)) : ParseEpsgName(crs);
+}
+
+int VerticalEpsgCodeOf(std::string_view crs) {
+  const std::optional<WktNode> root = ParseWkt(crs);
+  if (!root.has_value()) return ParseCodes(crs).vertical;
+  if (!root->Is({"COMPD_CS", "COMPOUNDCRS"})) return 0;
+  for (const WktNode& part : root->children) {
+    if (part.Is({"VERT_CS", "VERTCRS", "VERTICALCRS"})) return CodeOfNode(part);
   }
   return 0;
 }
@@ -211,7 +243,12 @@ std::string NameOfCrs(std::string_view crs) {
 bool IsSameCrs(std::string_view a, std::string_view b) {
   const int code = EpsgCodeOf(a);
   const int other = EpsgCodeOf(b);
-  if (code != 0 && other != 0) return code == other;
+  if (code != 0 && other != 0) {
+    const int heights = VerticalEpsgCodeOf(a);
+    const int other_heights = VerticalEpsgCodeOf(b);
+    return code == other &&
+           (heights == 0 || other_heights == 0 || heights == other_heights);
+  }
   const auto compact = [](std::string_view text) {
     std::string result;
     bool is_quoted = false;

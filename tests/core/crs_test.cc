@@ -82,6 +82,24 @@ TEST(Crs, CodeIsThatOfTheHorizontalSystem) {
   }
 }
 
+TEST(Crs, HeightsHaveACodeOfTheirOwn) {
+  EXPECT_EQ(ParseEpsgName("EPSG:26910+5703"), 26910);
+  EXPECT_EQ(EpsgCodeOf("EPSG:26910+5703"), 26910);
+  EXPECT_EQ(VerticalEpsgCodeOf("EPSG:26910+5703"), 5703);
+  EXPECT_EQ(VerticalEpsgCodeOf("EPSG:26910"), 0);
+  EXPECT_EQ(VerticalEpsgCodeOf(Compound(kUtm32)), 5703);
+  EXPECT_EQ(VerticalEpsgCodeOf(kUtm32), 0);
+  for (const char* text : {"EPSG:26910+", "EPSG:+5703", "EPSG:26910+0",
+                           "EPSG:26910+32767", "EPSG:26910+5703+5703"}) {
+    EXPECT_EQ(ParseEpsgName(text), 0) << text;
+    EXPECT_EQ(VerticalEpsgCodeOf(text), 0) << text;
+  }
+  // They tell systems apart where both have one.
+  EXPECT_TRUE(IsSameCrs("EPSG:25832+5703", Compound(kUtm32)));
+  EXPECT_TRUE(IsSameCrs("EPSG:25832+5703", "EPSG:25832"));
+  EXPECT_FALSE(IsSameCrs("EPSG:25832+7837", Compound(kUtm32)));
+}
+
 TEST(Crs, SameSystemsAreKnownByCodeOrText) {
   EXPECT_TRUE(IsSameCrs("EPSG:25832", kUtm32));
   EXPECT_TRUE(IsSameCrs(kUtm32, kUtm32Wkt2));

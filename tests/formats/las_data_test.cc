@@ -5,8 +5,10 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "client/formats/coordinate_systems.h"
 #include "client/formats/las_file.h"
 #include "core/cloud/point_cloud.h"
+#include "core/geometry/crs.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/formats/attributes_of.h"
@@ -20,6 +22,8 @@ namespace {
 
 using core::Point3;
 using core::PointCloud;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
 using testing::ReadAll;
 using testing::Same;
 using testing::TemporaryFile;
@@ -181,6 +185,38 @@ TEST(LasTestData, UnitsAreThoseOfKeysAndWkt) {
   EXPECT_EQ(unit("formats/las/laspy/simple1_3.las"), "");
 }
 
+TEST(LasTestData, SystemsAreThoseOfTheKeys) {
+  const auto info = [](const char* name) {
+    const auto reader = OpenLasFile(kData / "formats/las" / name);
+    EXPECT_TRUE(reader.ok()) << reader.status();
+    return (*reader)->info();
+  };
+  EXPECT_EQ(info("laz-perf/1815.las").crs_wkt, "EPSG:6580+5703");
+  // The file's keys give the ellipsoid for the unit, and no system.
+  EXPECT_THAT(info("laspy/simple1_3.las").crs_problem,
+              HasSubstr("no horizontal system"));
+  // Systems of the files' own; the second is that of EPSG:2994.
+  const std::string florida = info("pdal/lots_of_vlr.las").crs_wkt;
+  EXPECT_THAT(florida, AllOf(HasSubstr("\"Transverse_Mercator\""),
+                             HasSubstr("[\"scale_factor\",0.999941]"),
+                             HasSubstr("[\"false_easting\",200000]"),
+                             HasSubstr("6378137,298.257222101]")));
+  EXPECT_EQ(core::UnitOfCrs(florida), "US survey foot");
+  const std::string oregon = info("pdal/prec3.las").crs_wkt;
+  EXPECT_EQ(core::NameOfCrs(oregon), "NAD_1983_HARN_Lambert_Conformal_Conic");
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::string published,
+                                WktOfCrs("EPSG:2994"));
+  for (const char* part :
+       {"DATUM[\"NAD83_High_Accuracy_Reference_Network\"",
+        "PROJECTION[\"Lambert_Conformal_Conic_2SP\"]",
+        "[\"latitude_of_origin\",41.75]", "[\"central_meridian\",-120.5]",
+        "[\"standard_parallel_1\",43]", "[\"standard_parallel_2\",45.5]",
+        "[\"false_easting\",1312335.958", "[\"false_northing\",0]"}) {
+    EXPECT_THAT(oregon, HasSubstr(part));
+    EXPECT_THAT(published, HasSubstr(part));
+  }
+}
+
 TEST(LasTestData, EveryReadableFileSurvivesWriting) {
   int count = 0;
   for (const auto& entry :
@@ -196,7 +232,11 @@ TEST(LasTestData, EveryReadableFileSurvivesWriting) {
         file.path(), cloud,
         {.coordinate_step = info.coordinate_step, .crs_wkt = info.crs_wkt}));
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto again, OpenLasFile(file.path()));
-    EXPECT_EQ(again->info().crs_wkt, info.crs_wkt);
+    // Codes become WKT.
+    EXPECT_TRUE(core::IsSameCrs(again->info().crs_wkt, info.crs_wkt));
+    if (core::ParseEpsgName(info.crs_wkt) == 0) {
+      EXPECT_EQ(again->info().crs_wkt, info.crs_wkt);
+    }
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud read, ReadAll(*again));
     ASSERT_EQ(read.size(), cloud.size());
     EXPECT_TRUE(Same(cloud, read) == cloud.attributes);

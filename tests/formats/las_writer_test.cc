@@ -1,5 +1,6 @@
 #include <cmath>
 #include <cstdint>
+#include <cstdlib>
 #include <cstring>
 #include <limits>
 #include <random>
@@ -11,6 +12,7 @@
 #include "client/formats/las_file.h"
 #include "core/base/bytes.h"
 #include "core/cloud/point_cloud.h"
+#include "core/geometry/crs.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/formats/attributes_of.h"
@@ -224,14 +226,68 @@ TEST(LasWriter, MissingValuesComeBackMissingInExtraFloats) {
 }
 
 TEST(LasWriter, KeepsTheCrs) {
+  // Whatever PROJ does not know, or has no codes, stays as it is.
   for (const std::string crs :
-       {"EPSG:26915", "EPSG:4326", "PROJCS[\"ö\"]", ""}) {
+       {"EPSG:1", "EPSG:26915+26915", "PROJCS[\"ö\"]", ""}) {
     const TemporaryFile file(".las");
     MAPSIEVE_ASSERT_OK(
         WritePointFile(file.path(), SomePoints(1), {.crs_wkt = crs}));
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto reader, OpenLasFile(file.path()));
     EXPECT_EQ(reader->info().crs_wkt, crs);
   }
+}
+
+TEST(LasWriter, WritesCodesAsWkt) {
+  struct Case {
+    const char* crs;
+    const char* keyword;
+    const char* name;
+    const char* unit;
+  };
+  // Names and units as the EPSG registry has them. Codes beyond 4999 may be of
+  // geographic systems, and codes from 4000 to 4999 of others.
+  for (const Case& c : std::initializer_list<Case>{
+           {"EPSG:26915", "PROJCS", "NAD83 / UTM zone 15N", "metre"},
+           {"EPSG:2903", "PROJCS", "NAD83(HARN) / New Mexico Central (ftUS)",
+            "US survey foot"},
+           {"EPSG:4326", "GEOGCS", "WGS 84", "degree"},
+           {"EPSG:6318", "GEOGCS", "NAD83(2011)", "degree"},
+           {"EPSG:7844", "GEOGCS", "GDA2020", "degree"},
+           {"EPSG:4978", "GEOCCS", "WGS 84", "metre"},
+           {"EPSG:4087", "PROJCS", "WGS 84 / World Equidistant Cylindrical",
+            "metre"},
+           {"EPSG:4979", "COMPD_CS", "WGS 84 + Ellipsoid (metre)", "degree"},
+           {"EPSG:26910+5703", "COMPD_CS",
+            "NAD83 / UTM zone 10N + NAVD88 height", "metre"}}) {
+    SCOPED_TRACE(c.crs);
+    const TemporaryFile file(".las");
+    MAPSIEVE_ASSERT_OK(
+        WritePointFile(file.path(), SomePoints(1), {.crs_wkt = c.crs}));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto reader, OpenLasFile(file.path()));
+    const std::string& wkt = reader->info().crs_wkt;
+    EXPECT_THAT(wkt, ::testing::StartsWith(std::string(c.keyword) + "["));
+    EXPECT_EQ(core::NameOfCrs(wkt), c.name);
+    EXPECT_EQ(core::VerticalEpsgCodeOf(wkt), core::VerticalEpsgCodeOf(c.crs));
+    EXPECT_EQ(reader->info().unit, c.unit);
+    EXPECT_EQ(reader->info().crs_problem, "");
+    // The bit says WKT, so there are no keys.
+    EXPECT_EQ(file.Read().find("GeoTIFF"), std::string::npos);
+  }
+}
+
+TEST(LasWriter, NamesTheDatabaseThatItMisses) {
+  const TemporaryFile file(".las");
+  ASSERT_EQ(setenv("PROJ_DATA", "/no/such/folder", 1), 0);
+  const absl::Status codes =
+      WritePointFile(file.path(), SomePoints(1), {.crs_wkt = "EPSG:26915"});
+  const absl::Status wkt =
+      WritePointFile(file.path(), SomePoints(1), {.crs_wkt = "PROJCS[\"a\"]"});
+  unsetenv("PROJ_DATA");
+  EXPECT_THAT(codes, StatusIs(absl::StatusCode::kFailedPrecondition,
+                              HasSubstr("PROJ_DATA")));
+  MAPSIEVE_EXPECT_OK(wkt);
+  MAPSIEVE_EXPECT_OK(
+      WritePointFile(file.path(), SomePoints(1), {.crs_wkt = "EPSG:26915"}));
 }
 
 TEST(LasWriter, MarksItsPointFormatsAsOthersDemand) {

@@ -458,7 +458,7 @@ TEST(PcdWriter, KeepsWherePointsLieInComments) {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto reader, OpenPcdFile(file.path()));
     EXPECT_EQ(reader->info().crs_wkt, crs);
     EXPECT_EQ(reader->info().frame_id, "map 1");
-    EXPECT_EQ(reader->info().unit, crs == wkt ? "foot" : "");
+    EXPECT_EQ(reader->info().unit, crs == wkt ? "foot" : "metre");
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud cloud, ReadAll(*reader));
     EXPECT_THAT(cloud.positions, ElementsAre(Point3{1, 2, 3}));
   }

@@ -444,7 +444,7 @@ TEST(PlyWriter, KeepsWherePointsLieInComments) {
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto reader, OpenPlyFile(file.path()));
     EXPECT_EQ(reader->info().crs_wkt, crs);
     EXPECT_EQ(reader->info().frame_id, "map 1");
-    EXPECT_EQ(reader->info().unit, crs == wkt ? "foot" : "");
+    EXPECT_EQ(reader->info().unit, crs == wkt ? "foot" : "metre");
     MAPSIEVE_ASSERT_OK_AND_ASSIGN(const PointCloud cloud, ReadAll(*reader));
     EXPECT_THAT(cloud.positions, ElementsAre(Point3{1, 2, 3}));
   }
@@ -454,6 +454,14 @@ TEST(PlyWriter, KeepsWherePointsLieInComments) {
       WritePointFile(file.path(), {.positions = {{1, 2, 3}}},
                      {.crs_wkt = "A[\"" + std::string(900, 'x') + "\"]"}));
   EXPECT_EQ(file.Read().find("crs:"), std::string::npos);
+  // Of those that bear codes there are the codes.
+  MAPSIEVE_ASSERT_OK(WritePointFile(
+      file.path(), {.positions = {{1, 2, 3}}},
+      {.crs_wkt = "COMPD_CS[\"" + std::string(900, 'x') +
+                  "\",PROJCS[\"a\",AUTHORITY[\"EPSG\",\"6580\"]],"
+                  "VERT_CS[\"b\",AUTHORITY[\"EPSG\",\"5703\"]]]"}));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const auto reader, OpenPlyFile(file.path()));
+  EXPECT_EQ(reader->info().crs_wkt, "EPSG:6580+5703");
 }
 
 TEST(PlyReader, TakesOnlyItsOwnComments) {

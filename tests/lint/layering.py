@@ -20,6 +20,7 @@ LIBRARIES = {
     "cli11": (("CLI/",), ("CLI11::",)),
     "eigen": (("Eigen/", "unsupported/Eigen/"), ("Eigen3::",)),
     "freetype": (("ft2build.h", "freetype/"), ("Freetype::",)),
+    "geotiff": (("geotiff/",), ("${GEOTIFF_LIBRARY}",)),
     "glibc": (("malloc.h",), ()),
     "grpc": (("grpc/", "grpcpp/", "grpc++/"), ("gRPC::",)),
     "intrinsics": (("immintrin.h",), ()),
@@ -32,6 +33,7 @@ LIBRARIES = {
     "posix": (("unistd.h", "fcntl.h", "signal.h", "poll.h", "dirent.h",
                "dlfcn.h", "netdb.h", "pthread.h", "spawn.h", "termios.h",
                "sys/", "arpa/", "net/", "netinet/", "linux/"), ()),
+    "proj": (("proj.h", "proj_experimental.h"), ("PkgConfig::PROJ",)),
     "prometheus": (("prometheus/",), ("prometheus-cpp::",)),
     "proto": (("mapsieve/v1/",), ("mapsieve_proto",)),
     "protobuf": (("google/",), ("protobuf::",)),
@@ -117,7 +119,7 @@ RULES = {
         in_cc=("proto", "protobuf", "grpc"), never=LOGGING),
     "client/formats": Rule(
         CORE_TYPES + ("client/formats", "abseil", "posix"),
-        in_cc=("lzf", "octomap"),
+        in_cc=("geotiff", "lzf", "octomap", "proj"),
         never=LOGGING, targets=("core",)),
     "client/lab": Rule(
         ("core", "client/formats", "client/lab", "abseil"),
