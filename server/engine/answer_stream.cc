@@ -91,23 +91,6 @@ absl::Status AnswerSource::CheckRead(const ChunkRef& chunk,
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::optional<ChunksAhead::Chunk>> ChunksAhead::Next() {
-  while (!is_walked_ && coming_.size() < kMaxChunksAhead) {
-    MAPSIEVE_RETURN_IF_ERROR(source_.CheckStop());
-    MAPSIEVE_ASSIGN_OR_RETURN(std::optional<ChunkRef> ref, walk_.Next());
-    is_walked_ = !ref.has_value();
-    if (is_walked_ || source_.filter.CountCandidates(*ref) == 0) continue;
-    auto part = std::async(std::launch::async, [this, ref = *ref] {
-      return source_.Read(ref, names_);
-    });
-    coming_.push_back({*std::move(ref), std::move(part)});
-  }
-  if (coming_.empty()) return std::nullopt;
-  Coming next = std::move(coming_.front());
-  coming_.pop_front();
-  return Chunk{std::move(next.ref), next.part.get()};
-}
-
 absl::StatusOr<std::optional<std::vector<std::byte>>> AnswerStream::Next() {
   // The first block does not wait for the points of the second one, and what
   // is only read waits for its turn.
@@ -214,8 +197,8 @@ absl::Status AnswerStream::LoadPending() {
   return absl::OkStatus();
 }
 
-absl::Status AnswerStream::LoadWhole() {
-  MAPSIEVE_ASSIGN_OR_RETURN(const std::optional<ChunkRef> chunk, walk_->Next());
+absl::Status AnswerStream::LoadChunk() {
+  MAPSIEVE_ASSIGN_OR_RETURN(const std::optional<ChunkRef> chunk, walk_.Next());
   if (!chunk.has_value()) {
     is_walked_ = true;
     return absl::OkStatus();
@@ -224,44 +207,29 @@ absl::Status AnswerStream::LoadWhole() {
       missing_.numbers.contains(chunk->number)) {
     return absl::OkStatus();
   }
-  MAPSIEVE_ASSIGN_OR_RETURN(stored_, source_.ReadAsStored(*chunk, &missing_));
-  stored_point_count_ = chunk->point_count;
-  if (stored_.has_value() || missing_.numbers.contains(chunk->number)) {
-    return absl::OkStatus();
+  if (choice_ == nullptr) {
+    MAPSIEVE_ASSIGN_OR_RETURN(stored_, source_.ReadAsStored(*chunk, &missing_));
+    stored_point_count_ = chunk->point_count;
+    if (stored_.has_value() || missing_.numbers.contains(chunk->number)) {
+      return absl::OkStatus();
+    }
   }
-  MAPSIEVE_ASSIGN_OR_RETURN(
-      const std::optional<AnswerSource::Part> part,
-      source_.Accept(*chunk,
-                     source_.Read(*chunk, source_.columns.stored_names()),
-                     &missing_));
-  if (!part.has_value()) return absl::OkStatus();
-  std::vector<LatticePoint> positions;
-  for (const uint32_t row : part->passed.rows) {
-    positions.push_back(part->points.positions[row]);
-  }
-  return Append(part->points, part->passed, positions);
-}
-
-absl::Status AnswerStream::LoadChosen() {
-  MAPSIEVE_ASSIGN_OR_RETURN(std::optional<ChunksAhead::Chunk> chunk,
-                            chunks_->Next());
-  if (!chunk.has_value()) {
-    is_walked_ = true;
-    return absl::OkStatus();
-  }
-  if (missing_.numbers.contains(chunk->ref.number)) return absl::OkStatus();
   // A choice counts on the points that were there.
   MAPSIEVE_ASSIGN_OR_RETURN(
       std::optional<AnswerSource::Part> part,
-      source_.Accept(chunk->ref, std::move(chunk->part), nullptr));
-  const std::vector<LatticePoint> positions =
-      KeepChosen(part->points, part->passed);
-  return Append(part->points, part->passed, positions);
-}
-
-absl::Status AnswerStream::Append(const LatticeCloud& points,
-                                  const PointFilter::Passed& passed,
-                                  std::span<const LatticePoint> positions) {
+      source_.Accept(*chunk,
+                     source_.Read(*chunk, source_.columns.stored_names()),
+                     choice_ == nullptr ? &missing_ : nullptr));
+  if (!part.has_value()) return absl::OkStatus();
+  auto& [points, passed] = *part;
+  std::vector<LatticePoint> positions;
+  if (choice_ != nullptr) {
+    positions = KeepChosen(points, passed);
+  } else {
+    for (const uint32_t row : passed.rows) {
+      positions.push_back(points.positions[row]);
+    }
+  }
   if (positions.empty()) return absl::OkStatus();
   MAPSIEVE_ASSIGN_OR_RETURN(const core::ColumnSet answer,
                             source_.columns.Build(points, passed.rows));

@@ -7,7 +7,6 @@
 #include <future>
 #include <optional>
 #include <set>
-#include <span>
 #include <stop_token>
 #include <string>
 #include <utility>
@@ -80,39 +79,6 @@ struct AnswerSource {
                          MissingChunks* missing) const;
 };
 
-/// Chunks of an answer that are read at the same time, at most.
-inline constexpr size_t kMaxChunksAhead = 3;
-
-/// The chunks of an answer that hold candidates, in the order of the walk;
-/// those behind the next one are read meanwhile by other threads. Used by one
-/// thread.
-class ChunksAhead {
- public:
-  /// `names` as for AnswerSource::Read. The source outlives the object.
-  ChunksAhead(const AnswerSource& source, std::vector<std::string> names)
-      : source_(source), names_(std::move(names)), walk_(source.NewWalk()) {}
-
-  struct Chunk {
-    storage::ChunkRef ref;
-    absl::StatusOr<AnswerSource::Part> part;
-  };
-  /// Nothing after the last one. Errors of the walk, and kCancelled.
-  absl::StatusOr<std::optional<Chunk>> Next();
-
- private:
-  struct Coming {
-    storage::ChunkRef ref;
-    std::future<absl::StatusOr<AnswerSource::Part>> part;
-  };
-
-  const AnswerSource& source_;
-  const std::vector<std::string> names_;
-  ChunkWalk walk_;
-  bool is_walked_ = false;
-  /// Last: it waits for what uses the rest.
-  std::deque<Coming> coming_;
-};
-
 /// Blocks of an answer that are made at the same time, at most.
 inline constexpr size_t kMaxBlocksAhead = 3;
 
@@ -126,12 +92,10 @@ class AnswerStream {
   /// `missing`, with one they are kDataLoss.
   AnswerStream(const AnswerSource& source, const core::CellSample* choice,
                MissingChunks& missing)
-      : source_(source), choice_(choice), missing_(missing) {
-    if (choice == nullptr) {
-      walk_.emplace(source.NewWalk());
-    } else {
-      chunks_.emplace(source, source.columns.stored_names());
-    }
+      : source_(source),
+        choice_(choice),
+        missing_(missing),
+        walk_(source.NewWalk()) {
     pending_.lattice = core::Lattice(source.snapshot.map().spec.step_nm);
   }
 
@@ -175,16 +139,7 @@ class AnswerStream {
   absl::Status LoadPending();
   /// Appends what stays of the next chunk to the pending points, or makes it
   /// the stored chunk.
-  absl::Status LoadChunk() {
-    return choice_ == nullptr ? LoadWhole() : LoadChosen();
-  }
-  absl::Status LoadWhole();
-  absl::Status LoadChosen();
-  /// Appends the rows `passed` of `points`, which are at `positions` in the
-  /// answer.
-  absl::Status Append(const core::LatticeCloud& points,
-                      const PointFilter::Passed& passed,
-                      std::span<const core::LatticePoint> positions);
+  absl::Status LoadChunk();
   /// Leaves the chosen ones of `passed` and returns where they are in the
   /// answer.
   std::vector<core::LatticePoint> KeepChosen(const core::LatticeCloud& points,
@@ -197,9 +152,7 @@ class AnswerStream {
   const AnswerSource& source_;
   const core::CellSample* const choice_;
   MissingChunks& missing_;
-  /// Without a choice; with one.
-  std::optional<ChunkWalk> walk_;
-  std::optional<ChunksAhead> chunks_;
+  ChunkWalk walk_;
   bool is_walked_ = false;
   /// Made for the first block of many points; small ones before it go without.
   std::optional<core::EncodePlan> plan_;

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <deque>
+#include <future>
 #include <limits>
 #include <optional>
 #include <span>
@@ -42,10 +44,11 @@ constexpr int64_t kChosenBytes = 80;
 /// Bytes of a point in a block that a budget in bytes is taken to buy at most,
 /// for the memory of the choice: few queries get more points.
 constexpr int64_t kCheapPointBytes = 3;
-/// A chunk decoded, its selected rows, and those rows waiting to be sent.
+/// A chunk decoded, its selected rows, and those rows waiting to be sent; or
+/// before that, kMaxChunksAhead with a few of their columns.
 constexpr int64_t kChunkCopies = 3;
-/// Under a budget: those decoded meanwhile.
-constexpr int64_t kChunkCopiesAhead = kMaxChunksAhead - 1;
+/// Chunks of candidates that are read at the same time.
+constexpr size_t kMaxChunksAhead = kChunkCopies;
 /// Blocks before and after they are encoded, and two messages on their way.
 constexpr int64_t kBatchCopies = 2 * kMaxBlocksAhead + 3;
 
@@ -55,19 +58,18 @@ constexpr int kMaxTrials = 16;
 constexpr double kGoodShare = 0.955;
 constexpr double kTargetShare = 0.98;
 
-/// Of a decoded chunk of so many points.
-int64_t ChunkBytes(const AnswerColumns& columns, const PointFilter& filter,
-                   int64_t point_count) {
-  return point_count *
-         (columns.stored_point_bytes() + filter.attribute_bytes());
-}
-
 /// All points asked for, in Morton order.
 struct Candidates {
   std::vector<LatticePoint> positions;
   std::vector<Label> labels;
   /// For each, its number in the order of the walk.
   std::vector<uint32_t> order;
+};
+
+/// A chunk that another thread reads.
+struct ComingPart {
+  ChunkRef chunk;
+  std::future<absl::StatusOr<AnswerSource::Part>> part;
 };
 
 class RegionQuery final : public QueryCursor {
@@ -133,9 +135,7 @@ class RegionQuery final : public QueryCursor {
     }
     choice_bytes_ = kChosenBytes * chosen;
     return memory_->Grow(
-        answer_bytes +
-            kChunkCopiesAhead * ChunkBytes(columns_, filter_, largest) +
-            choice_bytes_ + kCandidateBytes * max_candidates_,
+        answer_bytes + choice_bytes_ + kCandidateBytes * max_candidates_,
         absl::StrCat("choosing under a budget among ", max_candidates_,
                      " points (fewer at a coarser depth)"),
         source_.stop);
@@ -206,14 +206,27 @@ class RegionQuery final : public QueryCursor {
     Candidates found;
     ReserveBulk(found.positions, static_cast<size_t>(max_candidates_));
     found.labels.reserve(static_cast<size_t>(max_candidates_));
-    ChunksAhead chunks(source_, {});
+    ChunkWalk walk = source_.NewWalk();
+    bool is_walked = false;
+    // Chunks being read at the same time.
+    std::deque<ComingPart> coming;
     while (true) {
-      MAPSIEVE_ASSIGN_OR_RETURN(std::optional<ChunksAhead::Chunk> chunk,
-                                chunks.Next());
-      if (!chunk.has_value()) break;
+      while (!is_walked && coming.size() < kMaxChunksAhead) {
+        MAPSIEVE_RETURN_IF_ERROR(source_.CheckStop());
+        MAPSIEVE_ASSIGN_OR_RETURN(std::optional<ChunkRef> chunk, walk.Next());
+        is_walked = !chunk.has_value();
+        if (is_walked || filter_.CountCandidates(*chunk) == 0) continue;
+        auto part = std::async(std::launch::async, [this, chunk = *chunk] {
+          return source_.Read(chunk, {});
+        });
+        coming.push_back({*std::move(chunk), std::move(part)});
+      }
+      if (coming.empty()) break;
+      ComingPart next = std::move(coming.front());
+      coming.pop_front();
       MAPSIEVE_ASSIGN_OR_RETURN(
           const std::optional<AnswerSource::Part> part,
-          source_.Accept(chunk->ref, std::move(chunk->part), &missing_));
+          source_.Accept(next.chunk, next.part.get(), &missing_));
       if (!part.has_value()) continue;
       for (const uint32_t row : part->passed.rows) {
         found.positions.push_back(part->points.positions[row]);
@@ -422,7 +435,8 @@ absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(
 
 int64_t AnswerBytes(const AnswerColumns& columns, const PointFilter& filter,
                     int64_t largest_chunk) {
-  return kChunkCopies * ChunkBytes(columns, filter, largest_chunk) +
+  return kChunkCopies * largest_chunk *
+             (columns.stored_point_bytes() + filter.attribute_bytes()) +
          kBatchCopies * kMaxBatchBytes;
 }
 
