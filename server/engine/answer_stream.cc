@@ -166,13 +166,15 @@ std::optional<AnswerStream::Block> AnswerStream::TakeStored() {
 }
 
 absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
-  const bool is_first = taken_totals_.point_count == 0;
-  while (is_first && !is_walked_ && !stored_.has_value() &&
-         pending_.size() == 0) {
-    MAPSIEVE_RETURN_IF_ERROR(LoadChunk());
+  // The first block takes what one chunk has.
+  const size_t wanted =
+      taken_totals_.point_count == 0 ? size_t{1} : PointsPerBlock();
+  if (choice_ != nullptr) {
+    MAPSIEVE_RETURN_IF_ERROR(LoadChosen(wanted));
+  } else {
+    MAPSIEVE_RETURN_IF_ERROR(LoadPending(wanted));
   }
-  if (!is_first) MAPSIEVE_RETURN_IF_ERROR(LoadPending());
-  const size_t count = std::min(PointsPerBlock(), pending_.size() - taken_);
+  const size_t count = std::min(PointsPerBlock(), PendingCount());
   for (size_t row = taken_; row < taken_ + count; ++row) {
     ++taken_totals_.label_counts[static_cast<size_t>(pending_labels_[row])];
   }
@@ -188,10 +190,8 @@ absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
   return points;
 }
 
-absl::Status AnswerStream::LoadPending() {
-  const size_t wanted = PointsPerBlock();
-  while (!is_walked_ && !stored_.has_value() &&
-         pending_.size() - taken_ < wanted) {
+absl::Status AnswerStream::LoadPending(size_t wanted) {
+  while (!is_walked_ && !stored_.has_value() && PendingCount() < wanted) {
     MAPSIEVE_RETURN_IF_ERROR(LoadChunk());
   }
   return absl::OkStatus();
@@ -207,29 +207,94 @@ absl::Status AnswerStream::LoadChunk() {
       missing_.numbers.contains(chunk->number)) {
     return absl::OkStatus();
   }
-  if (choice_ == nullptr) {
-    MAPSIEVE_ASSIGN_OR_RETURN(stored_, source_.ReadAsStored(*chunk, &missing_));
-    stored_point_count_ = chunk->point_count;
-    if (stored_.has_value() || missing_.numbers.contains(chunk->number)) {
-      return absl::OkStatus();
-    }
+  MAPSIEVE_ASSIGN_OR_RETURN(stored_, source_.ReadAsStored(*chunk, &missing_));
+  stored_point_count_ = chunk->point_count;
+  if (stored_.has_value() || missing_.numbers.contains(chunk->number)) {
+    return absl::OkStatus();
   }
-  // A choice counts on the points that were there.
   MAPSIEVE_ASSIGN_OR_RETURN(
-      std::optional<AnswerSource::Part> part,
+      const std::optional<AnswerSource::Part> part,
       source_.Accept(*chunk,
                      source_.Read(*chunk, source_.columns.stored_names()),
-                     choice_ == nullptr ? &missing_ : nullptr));
+                     &missing_));
   if (!part.has_value()) return absl::OkStatus();
-  auto& [points, passed] = *part;
   std::vector<LatticePoint> positions;
-  if (choice_ != nullptr) {
-    positions = KeepChosen(points, passed);
-  } else {
-    for (const uint32_t row : passed.rows) {
-      positions.push_back(points.positions[row]);
-    }
+  for (const uint32_t row : part->passed.rows) {
+    positions.push_back(part->points.positions[row]);
   }
+  return Append(part->points, part->passed, positions);
+}
+
+absl::Status AnswerStream::LoadChosen(size_t wanted) {
+  const std::vector<uint32_t>& rows = choice_->sample.rows;
+  struct ChosenChunk {
+    ComingChunk chunk;
+    // The number of its first candidate, and its entries of the choice.
+    uint64_t begin = 0;
+    size_t first = 0;
+    size_t last = 0;
+  };
+  std::deque<ChosenChunk> coming;
+  const size_t first_of_all = next_chosen_;
+  const size_t pending = PendingCount();
+  while (true) {
+    while (!is_walked_ && coming.size() < kMaxChunksAhead &&
+           pending + (next_chosen_ - first_of_all) < wanted) {
+      MAPSIEVE_ASSIGN_OR_RETURN(std::optional<ChunkRef> ref, walk_.Next());
+      is_walked_ = !ref.has_value();
+      if (is_walked_ || source_.filter.CountCandidates(*ref) == 0 ||
+          missing_.numbers.contains(ref->number)) {
+        continue;
+      }
+      const uint64_t begin = candidates_seen_;
+      const size_t first = next_chosen_;
+      candidates_seen_ += choice_->chunk_counts[chunks_seen_++];
+      while (next_chosen_ < rows.size() &&
+             rows[next_chosen_] < candidates_seen_) {
+        ++next_chosen_;
+      }
+      if (next_chosen_ == first) continue;
+      auto part = source_.BeginRead(*ref, source_.columns.stored_names());
+      coming.push_back(
+          {{*std::move(ref), std::move(part)}, begin, first, next_chosen_});
+    }
+    if (coming.empty()) return absl::OkStatus();
+    ChosenChunk next = std::move(coming.front());
+    coming.pop_front();
+    // A choice counts on the points that were there.
+    MAPSIEVE_ASSIGN_OR_RETURN(
+        std::optional<AnswerSource::Part> part,
+        source_.Accept(next.chunk.ref, next.chunk.part.get(), nullptr));
+    const std::vector<LatticePoint> positions = KeepChosen(
+        part->points, next.begin, next.first, next.last, part->passed);
+    MAPSIEVE_RETURN_IF_ERROR(Append(part->points, part->passed, positions));
+  }
+}
+
+std::vector<LatticePoint> AnswerStream::KeepChosen(
+    const LatticeCloud& points, uint64_t begin, size_t first, size_t last,
+    PointFilter::Passed& passed) const {
+  std::vector<LatticePoint> positions;
+  PointFilter::Passed kept;
+  for (size_t entry = first; entry < last; ++entry) {
+    const size_t i = choice_->sample.rows[entry] - begin;
+    kept.rows.push_back(passed.rows[i]);
+    kept.labels.push_back(passed.labels[i]);
+    const core::Point3& c = choice_->sample.centroids[entry];
+    positions.push_back(
+        source_.representative == Representative::kNearest
+            ? points.positions[passed.rows[i]]
+            : LatticePoint{static_cast<int64_t>(std::nearbyint(c.x)),
+                           static_cast<int64_t>(std::nearbyint(c.y)),
+                           static_cast<int64_t>(std::nearbyint(c.z))});
+  }
+  passed = std::move(kept);
+  return positions;
+}
+
+absl::Status AnswerStream::Append(const LatticeCloud& points,
+                                  const PointFilter::Passed& passed,
+                                  std::span<const LatticePoint> positions) {
   if (positions.empty()) return absl::OkStatus();
   MAPSIEVE_ASSIGN_OR_RETURN(const core::ColumnSet answer,
                             source_.columns.Build(points, passed.rows));
@@ -241,30 +306,6 @@ absl::Status AnswerStream::LoadChunk() {
   pending_labels_.insert(pending_labels_.end(), passed.labels.begin(),
                          passed.labels.end());
   return absl::OkStatus();
-}
-
-std::vector<LatticePoint> AnswerStream::KeepChosen(
-    const LatticeCloud& points, PointFilter::Passed& passed) {
-  std::vector<LatticePoint> positions;
-  PointFilter::Passed kept;
-  const uint64_t end = candidates_seen_ + passed.rows.size();
-  for (;
-       next_chosen_ < choice_->rows.size() && choice_->rows[next_chosen_] < end;
-       ++next_chosen_) {
-    const size_t i = choice_->rows[next_chosen_] - candidates_seen_;
-    kept.rows.push_back(passed.rows[i]);
-    kept.labels.push_back(passed.labels[i]);
-    const core::Point3& c = choice_->centroids[next_chosen_];
-    positions.push_back(
-        source_.representative == Representative::kNearest
-            ? points.positions[passed.rows[i]]
-            : LatticePoint{static_cast<int64_t>(std::nearbyint(c.x)),
-                           static_cast<int64_t>(std::nearbyint(c.y)),
-                           static_cast<int64_t>(std::nearbyint(c.z))});
-  }
-  candidates_seen_ = end;
-  passed = std::move(kept);
-  return positions;
 }
 
 void AnswerStream::DropTaken() {

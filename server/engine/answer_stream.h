@@ -7,6 +7,7 @@
 #include <future>
 #include <optional>
 #include <set>
+#include <span>
 #include <stop_token>
 #include <string>
 #include <utility>
@@ -66,6 +67,13 @@ struct AnswerSource {
   absl::StatusOr<std::optional<Part>> Accept(const storage::ChunkRef& chunk,
                                              absl::StatusOr<Part> part,
                                              MissingChunks* missing) const;
+  /// Read, on another thread. The source outlives the result.
+  std::future<absl::StatusOr<Part>> BeginRead(
+      const storage::ChunkRef& chunk, std::vector<std::string> names) const {
+    return std::async(
+        std::launch::async,
+        [this, chunk, names = std::move(names)] { return Read(chunk, names); });
+  }
   /// The bytes of a chunk that is a block of the answer as it is stored;
   /// nothing: it is none, or missing as for Accept.
   absl::StatusOr<std::optional<std::vector<std::byte>>> ReadAsStored(
@@ -79,6 +87,23 @@ struct AnswerSource {
                          MissingChunks* missing) const;
 };
 
+/// A chunk that another thread reads.
+struct ComingChunk {
+  storage::ChunkRef ref;
+  std::future<absl::StatusOr<AnswerSource::Part>> part;
+};
+/// Chunks of an answer that are read at the same time, at most.
+inline constexpr size_t kMaxChunksAhead = 3;
+
+/// Points chosen among the candidates of an answer: those that pass the filter,
+/// in the order of the walk, without the chunks that the answer lacks.
+struct Choice {
+  /// Its rows are numbers of candidates and ascend.
+  core::CellSample sample;
+  /// The number of candidates in each chunk that may have any.
+  std::vector<uint32_t> chunk_counts;
+};
+
 /// Blocks of an answer that are made at the same time, at most.
 inline constexpr size_t kMaxBlocksAhead = 3;
 
@@ -86,11 +111,11 @@ inline constexpr size_t kMaxBlocksAhead = 3;
 /// give the same blocks. Used by one thread.
 class AnswerStream {
  public:
-  /// `choice`: of the points that pass the filter, in the order of the walk
-  /// without the chunks of `missing`, those that stay; null: all. Everything
-  /// outlives the stream. Without a choice damaged chunks are added to
-  /// `missing`, with one they are kDataLoss.
-  AnswerStream(const AnswerSource& source, const core::CellSample* choice,
+  /// `choice`: of the points that pass the filter those that stay, which lacks
+  /// the chunks of `missing`; null: all. Everything outlives the stream.
+  /// Without a choice damaged chunks are added to `missing`, with one they are
+  /// kDataLoss.
+  AnswerStream(const AnswerSource& source, const Choice* choice,
                MissingChunks& missing)
       : source_(source),
         choice_(choice),
@@ -134,23 +159,34 @@ class AnswerStream {
   size_t PointsPerBlock() const;
   /// Has the next block encoded, or finds that there is none.
   absl::Status BeginBlock();
-  /// Makes the pending points enough for a block, if as many come before a
-  /// stored chunk.
-  absl::Status LoadPending();
+  /// Makes `wanted` points pending, if as many come before a stored chunk.
+  absl::Status LoadPending(size_t wanted);
   /// Appends what stays of the next chunk to the pending points, or makes it
   /// the stored chunk.
   absl::Status LoadChunk();
-  /// Leaves the chosen ones of `passed` and returns where they are in the
+  /// Appends chosen points until `wanted` are pending, if there are so many:
+  /// chunks without any are not read, others side by side.
+  absl::Status LoadChosen(size_t wanted);
+  /// Leaves those of `passed`, the candidates from number `begin` on, that have
+  /// the entries [first, last) of the choice, and returns where they are in the
   /// answer.
   std::vector<core::LatticePoint> KeepChosen(const core::LatticeCloud& points,
-                                             PointFilter::Passed& passed);
+                                             uint64_t begin, size_t first,
+                                             size_t last,
+                                             PointFilter::Passed& passed) const;
+  /// Appends the rows `passed` of `points`, which are at `positions` in the
+  /// answer.
+  absl::Status Append(const core::LatticeCloud& points,
+                      const PointFilter::Passed& passed,
+                      std::span<const core::LatticePoint> positions);
+  size_t PendingCount() const { return pending_.size() - taken_; }
   /// Frees the pending points that were taken.
   void DropTaken();
   /// Those at rows [begin, begin + count).
   core::LatticeCloud PendingPoints(size_t begin, size_t count) const;
 
   const AnswerSource& source_;
-  const core::CellSample* const choice_;
+  const Choice* const choice_;
   MissingChunks& missing_;
   ChunkWalk walk_;
   bool is_walked_ = false;
@@ -163,8 +199,9 @@ class AnswerStream {
   core::LatticeCloud pending_;
   std::vector<core::Label> pending_labels_;
   size_t taken_ = 0;
-  /// How far the walk has come in the choice.
+  /// How far the walk has come in the choice: entries, chunks, candidates.
   size_t next_chosen_ = 0;
+  size_t chunks_seen_ = 0;
   uint64_t candidates_seen_ = 0;
   /// Of the blocks begun, and of those given.
   Totals taken_totals_;

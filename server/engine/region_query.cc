@@ -4,7 +4,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
-#include <future>
 #include <limits>
 #include <optional>
 #include <span>
@@ -44,11 +43,10 @@ constexpr int64_t kChosenBytes = 80;
 /// Bytes of a point in a block that a budget in bytes is taken to buy at most,
 /// for the memory of the choice: few queries get more points.
 constexpr int64_t kCheapPointBytes = 3;
-/// A chunk decoded, its selected rows, and those rows waiting to be sent; or
-/// before that, kMaxChunksAhead with a few of their columns.
+/// A chunk decoded, its selected rows, and those rows waiting to be sent.
 constexpr int64_t kChunkCopies = 3;
-/// Chunks of candidates that are read at the same time.
-constexpr size_t kMaxChunksAhead = kChunkCopies;
+/// Under a budget: those decoded meanwhile.
+constexpr int64_t kChunkCopiesAhead = kMaxChunksAhead - 1;
 /// Blocks before and after they are encoded, and two messages on their way.
 constexpr int64_t kBatchCopies = 2 * kMaxBlocksAhead + 3;
 
@@ -58,18 +56,19 @@ constexpr int kMaxTrials = 16;
 constexpr double kGoodShare = 0.955;
 constexpr double kTargetShare = 0.98;
 
+/// Of a decoded chunk of so many points.
+int64_t ChunkBytes(const AnswerColumns& columns, const PointFilter& filter,
+                   int64_t point_count) {
+  return point_count *
+         (columns.stored_point_bytes() + filter.attribute_bytes());
+}
+
 /// All points asked for, in Morton order.
 struct Candidates {
   std::vector<LatticePoint> positions;
   std::vector<Label> labels;
   /// For each, its number in the order of the walk.
   std::vector<uint32_t> order;
-};
-
-/// A chunk that another thread reads.
-struct ComingPart {
-  ChunkRef chunk;
-  std::future<absl::StatusOr<AnswerSource::Part>> part;
 };
 
 class RegionQuery final : public QueryCursor {
@@ -135,7 +134,9 @@ class RegionQuery final : public QueryCursor {
     }
     choice_bytes_ = kChosenBytes * chosen;
     return memory_->Grow(
-        answer_bytes + choice_bytes_ + kCandidateBytes * max_candidates_,
+        answer_bytes +
+            kChunkCopiesAhead * ChunkBytes(columns_, filter_, largest) +
+            choice_bytes_ + kCandidateBytes * max_candidates_,
         absl::StrCat("choosing under a budget among ", max_candidates_,
                      " points (fewer at a coarser depth)"),
         source_.stop);
@@ -209,30 +210,31 @@ class RegionQuery final : public QueryCursor {
     ChunkWalk walk = source_.NewWalk();
     bool is_walked = false;
     // Chunks being read at the same time.
-    std::deque<ComingPart> coming;
+    std::deque<ComingChunk> coming;
+    choice_.chunk_counts.clear();
     while (true) {
       while (!is_walked && coming.size() < kMaxChunksAhead) {
         MAPSIEVE_RETURN_IF_ERROR(source_.CheckStop());
-        MAPSIEVE_ASSIGN_OR_RETURN(std::optional<ChunkRef> chunk, walk.Next());
-        is_walked = !chunk.has_value();
-        if (is_walked || filter_.CountCandidates(*chunk) == 0) continue;
-        auto part = std::async(std::launch::async, [this, chunk = *chunk] {
-          return source_.Read(chunk, {});
-        });
-        coming.push_back({*std::move(chunk), std::move(part)});
+        MAPSIEVE_ASSIGN_OR_RETURN(std::optional<ChunkRef> ref, walk.Next());
+        is_walked = !ref.has_value();
+        if (is_walked || filter_.CountCandidates(*ref) == 0) continue;
+        auto part = source_.BeginRead(*ref, {});
+        coming.push_back({*std::move(ref), std::move(part)});
       }
       if (coming.empty()) break;
-      ComingPart next = std::move(coming.front());
+      ComingChunk next = std::move(coming.front());
       coming.pop_front();
       MAPSIEVE_ASSIGN_OR_RETURN(
           const std::optional<AnswerSource::Part> part,
-          source_.Accept(next.chunk, next.part.get(), &missing_));
+          source_.Accept(next.ref, next.part.get(), &missing_));
       if (!part.has_value()) continue;
       for (const uint32_t row : part->passed.rows) {
         found.positions.push_back(part->points.positions[row]);
       }
       found.labels.insert(found.labels.end(), part->passed.labels.begin(),
                           part->passed.labels.end());
+      choice_.chunk_counts.push_back(
+          static_cast<uint32_t>(part->passed.rows.size()));
     }
     for (const Label label : found.labels) {
       ++available_[static_cast<size_t>(label)];
@@ -268,10 +270,10 @@ class RegionQuery final : public QueryCursor {
       rows.emplace_back(candidates.order[sample.rows[i]], i);
     }
     std::sort(rows.begin(), rows.end());
-    choice_ = {};
+    choice_.sample = {};
     for (const auto& [row, i] : rows) {
-      choice_.rows.push_back(row);
-      choice_.centroids.push_back(sample.centroids[i]);
+      choice_.sample.rows.push_back(row);
+      choice_.sample.centroids.push_back(sample.centroids[i]);
     }
     return absl::OkStatus();
   }
@@ -353,7 +355,7 @@ class RegionQuery final : public QueryCursor {
   QueryHeader header_;
   MissingChunks missing_;
   /// Under a budget: what was chosen, its memory, and what there was, by label.
-  core::CellSample choice_;
+  Choice choice_;
   int64_t choice_bytes_ = 0;
   core::LabelCounts available_{};
   /// Nothing before the first batch.
@@ -435,8 +437,7 @@ absl::StatusOr<std::unique_ptr<QueryCursor>> OpenQuery(
 
 int64_t AnswerBytes(const AnswerColumns& columns, const PointFilter& filter,
                     int64_t largest_chunk) {
-  return kChunkCopies * largest_chunk *
-             (columns.stored_point_bytes() + filter.attribute_bytes()) +
+  return kChunkCopies * ChunkBytes(columns, filter, largest_chunk) +
          kBatchCopies * kMaxBatchBytes;
 }
 
