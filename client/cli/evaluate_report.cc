@@ -71,7 +71,8 @@ std::string ErrorCells(const ErrorSummary& e) {
 
 std::string SummaryCsv(const Summaries& summaries) {
   std::string text =
-      "environment,count,method,icp,pairs,trials,failures,converged";
+      "environment,count,method,icp,pairs,trials,failures,converged,"
+      "degenerate";
   for (const char* error : {"translation_m", "rotation_deg"}) {
     for (const std::string_view field : kErrorFields) {
       absl::StrAppend(&text, ",", error, "_", ToAbsl(field));
@@ -79,10 +80,10 @@ std::string SummaryCsv(const Summaries& summaries) {
   }
   text += ",points,sample_s,icp_s\n";
   for (const GroupSummary& s : summaries) {
-    absl::StrAppendFormat(&text, "%s,%s,%s,%s,%d,%d,%d,%d",
-                          EnvironmentText(s.environment), CountText(s.count),
-                          s.method, IcpText(s.icp), s.pair_count, s.trial_count,
-                          s.failure_count, s.converged_count);
+    absl::StrAppendFormat(
+        &text, "%s,%s,%s,%s,%d,%d,%d,%d,%d", EnvironmentText(s.environment),
+        CountText(s.count), s.method, IcpText(s.icp), s.pair_count,
+        s.trial_count, s.failure_count, s.converged_count, s.degenerate_count);
     text += ErrorCells(s.translation_m) + ErrorCells(s.rotation_deg);
     absl::StrAppendFormat(&text, ",%g,%.6f,%.6f\n", s.points, s.sample_s,
                           s.icp_s);
@@ -110,6 +111,7 @@ Json SummaryJson(const Summaries& summaries, const NeededTable& needed,
                       {"trials", s.trial_count},
                       {"failures", s.failure_count},
                       {"converged", s.converged_count},
+                      {"degenerate", s.degenerate_count},
                       {"translation_m", ErrorJson(s.translation_m)},
                       {"rotation_deg", ErrorJson(s.rotation_deg)},
                       {"points", s.points},
@@ -320,7 +322,9 @@ std::string ErrorTable(const Summaries& summaries, core::IcpMethod icp) {
   for (const auto& environment : environments) {
     absl::StrAppend(&html, "<th>", EnvironmentText(environment), "</th>");
   }
-  html += "<th>failures</th><th>sampling, s</th><th>ICP, s</th></tr>\n";
+  html +=
+      "<th>failures</th><th>degenerate</th><th>sampling, s</th><th>ICP, "
+      "s</th></tr>\n";
   for (const std::string& method : Methods(summaries)) {
     absl::StrAppend(&html, "<tr><td>", method, "</td>");
     for (const auto& environment : environments) {
@@ -337,8 +341,9 @@ std::string ErrorTable(const Summaries& summaries, core::IcpMethod icp) {
         Find(summaries, std::nullopt, std::nullopt, icp, method);
     if (all != nullptr) {
       absl::StrAppendFormat(
-          &html, "<td>%d of %d</td><td>%.3f</td><td>%.3f</td>",
-          all->failure_count, all->trial_count, all->sample_s, all->icp_s);
+          &html, "<td>%d of %d</td><td>%d</td><td>%.3f</td><td>%.3f</td>",
+          all->failure_count, all->trial_count, all->degenerate_count,
+          all->sample_s, all->icp_s);
     }
     html += "</tr>\n";
   }
@@ -354,7 +359,9 @@ std::string ReportHtml(const Summaries& summaries, const NeededTable& needed,
       "environment of the pair; in brackets their 95 %% bootstrap interval "
       "over pairs. Bold: the lowest median and those that the pairs do not "
       "tell apart from it. A failure is farther than %g m or %g° from the "
-      "truth, or has no result. Times are medians on one thread.</p>\n",
+      "truth, or has no result. Degenerate: the pairs leave a direction of "
+      "motion free, in which the pose stays as it was. Times are medians on "
+      "one thread.</p>\n",
       kFailedTranslation, kFailedRotationDeg);
   for (const core::IcpMethod icp : IcpMethods(summaries)) {
     html += ErrorTable(summaries, icp);

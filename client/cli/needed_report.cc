@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstddef>
+#include <cstdint>
 #include <string_view>
 
 #include "absl/strings/str_cat.h"
@@ -39,6 +40,22 @@ Cells CellsOf(const NeededPoints& needed) {
           absl::StrFormat("%d of %d", at.failure_count, at.trial_count),
           absl::StrFormat("%.3f", at.sample_s),
           absl::StrFormat("%.3f", at.icp_s)};
+}
+
+/// What the rows' registrations do not hold, or nothing.
+std::string DegenerateNote(const NeededTable& table) {
+  int64_t degenerate_count = 0;
+  int64_t trial_count = 0;
+  for (const NeededPoints& needed : table.rows) {
+    degenerate_count += needed.at.degenerate_count;
+    trial_count += needed.at.trial_count;
+  }
+  if (degenerate_count == 0) return "";
+  return absl::StrFormat(
+      "In %d of %d registrations the points slide on their surfaces, as on a "
+      "plane or in a corridor: in a direction that nothing holds, the pose "
+      "stays as it starts.",
+      degenerate_count, trial_count);
 }
 
 /// In characters, some of which are several bytes.
@@ -86,13 +103,15 @@ std::string NeededText(const NeededTable& table) {
     text += "\n";
   }
   if (!all_reached) absl::StrAppend(&text, "\n", kNote, "\n");
+  const std::string degenerate = DegenerateNote(table);
+  if (!degenerate.empty()) absl::StrAppend(&text, "\n", degenerate, "\n");
   return text;
 }
 
 std::string NeededHtml(const NeededTable& table) {
   std::string html =
-      absl::StrFormat("<h2>Points needed</h2>\n<p>%s. %s</p>\n<table><tr>",
-                      NeededSentence(table), kNote);
+      absl::StrFormat("<h2>Points needed</h2>\n<p>%s. %s %s</p>\n<table><tr>",
+                      NeededSentence(table), kNote, DegenerateNote(table));
   for (const std::string_view name : kHead) {
     absl::StrAppend(&html, "<th>", ToAbsl(name), "</th>");
   }
@@ -110,14 +129,15 @@ std::string NeededHtml(const NeededTable& table) {
 std::string NeededCsv(const NeededTable& table) {
   std::string text =
       "method,icp,target_m,reached,count,translation_m,rotation_deg,failures,"
-      "trials,sample_s,icp_s\n";
+      "degenerate,trials,sample_s,icp_s\n";
   for (const NeededPoints& needed : table.rows) {
     const GroupSummary& at = needed.at;
     absl::StrAppendFormat(
-        &text, "%s,%s,%g,%d,%d,%.9g,%.9g,%d,%d,%.6f,%.6f\n", at.method,
+        &text, "%s,%s,%g,%d,%d,%.9g,%.9g,%d,%d,%d,%.6f,%.6f\n", at.method,
         IcpText(needed), table.target_m, needed.is_reached ? 1 : 0,
         at.count.value(), at.translation_m.median, at.rotation_deg.median,
-        at.failure_count, at.trial_count, at.sample_s, at.icp_s);
+        at.failure_count, at.degenerate_count, at.trial_count, at.sample_s,
+        at.icp_s);
   }
   return text;
 }
@@ -133,6 +153,7 @@ Json NeededJson(const NeededTable& table) {
                     {"translation_m", NumberJson(at.translation_m.median)},
                     {"rotation_deg", NumberJson(at.rotation_deg.median)},
                     {"failures", at.failure_count},
+                    {"degenerate", at.degenerate_count},
                     {"trials", at.trial_count},
                     {"sample_s", at.sample_s},
                     {"icp_s", at.icp_s}});

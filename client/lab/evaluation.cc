@@ -258,6 +258,7 @@ absl::Status RunTrial(const SampledScan& reading, const SampledScan& reference,
   trial.icp_s = Seconds(begin);
   trial.outcome = OutcomeOf(result.stop);
   trial.iteration_count = result.iteration_count;
+  trial.degenerate_count = result.information.degenerate_count;
   const core::TransformError error =
       core::CompareTransforms(result.T_reference_reading, truth);
   trial.translation_error_m = error.translation_m;

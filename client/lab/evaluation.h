@@ -59,6 +59,9 @@ struct Trial {
   int64_t reading_points = 0;
   int64_t reference_points = 0;
   int iteration_count = 0;
+  /// Directions of motion that the pairs at the result do not hold
+  /// (core::PoseInformation): the pose stays along them as it was.
+  int degenerate_count = 0;
   /// core::CompareTransforms of result and truth; infinite without a pose.
   double translation_error_m = 0;
   double rotation_error_deg = 0;

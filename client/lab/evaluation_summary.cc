@@ -108,6 +108,7 @@ MethodGroup SummarizeGroup(
     summary.failure_count += IsFailure(*trial) ? 1 : 0;
     summary.converged_count +=
         trial->outcome == TrialOutcome::kConverged ? 1 : 0;
+    summary.degenerate_count += trial->degenerate_count > 0 ? 1 : 0;
     if (trial->outcome != TrialOutcome::kNoSample) {
       sample_times.push_back(trial->sample_s);
       points.push_back(static_cast<double>(trial->reference_points));

@@ -45,6 +45,8 @@ struct GroupSummary {
   int64_t trial_count = 0;
   int64_t failure_count = 0;
   int64_t converged_count = 0;
+  /// Registrations whose pairs leave a direction of motion free.
+  int64_t degenerate_count = 0;
   ErrorSummary translation_m;
   ErrorSummary rotation_deg;
   /// Medians over the registrations with a sample, those with a pose; 0 if

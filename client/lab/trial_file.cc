@@ -16,7 +16,7 @@
 namespace mapsieve::client {
 namespace {
 
-constexpr size_t kColumnCount = 18;
+constexpr size_t kColumnCount = 19;
 
 constexpr std::array kOutcomes = {
     TrialOutcome::kConverged, TrialOutcome::kIterationLimit,
@@ -70,19 +70,21 @@ std::string_view TrialHeader() {
   return "pair,environment,method,icp,min_normal_cosine,"
          "reading_point_count,count,trial,initial_translation_m,initial_"
          "rotation_deg,outcome,reading_points,"
-         "reference_points,iterations,translation_error_m,rotation_error_deg,"
-         "sample_s,icp_s\n";
+         "reference_points,iterations,degenerate_directions,"
+         "translation_error_m,rotation_error_deg,sample_s,icp_s\n";
 }
 
 std::string TrialLine(const Trial& t) {
   return absl::StrFormat(
-      "%s,%s,%s,%s,%.9f,%d,%d,%d,%.9f,%.9f,%s,%d,%d,%d,%.9f,%.9f,%.6f,%.6f\n",
+      "%s,%s,%s,%s,%.9f,%d,%d,%d,%.9f,%.9f,%s,%d,%d,%d,%d,%.9f,%.9f,%.6f,%."
+      "6f\n",
       t.pair, std::string(EnvironmentName(t.environment)), t.method,
       std::string(IcpMethodName(t.icp)), t.min_normal_cosine,
       t.reading_point_count, t.count, t.number, t.initial_translation_m,
       t.initial_rotation_deg, std::string(TrialOutcomeName(t.outcome)),
       t.reading_points, t.reference_points, t.iteration_count,
-      t.translation_error_m, t.rotation_error_deg, t.sample_s, t.icp_s);
+      t.degenerate_count, t.translation_error_m, t.rotation_error_deg,
+      t.sample_s, t.icp_s);
 }
 
 absl::StatusOr<Trial> ParseTrial(std::string_view line) {
@@ -107,10 +109,11 @@ absl::StatusOr<Trial> ParseTrial(std::string_view line) {
       !absl::SimpleAtoi(cells[11], &t.reading_points) ||
       !absl::SimpleAtoi(cells[12], &t.reference_points) ||
       !absl::SimpleAtoi(cells[13], &t.iteration_count) ||
-      !absl::SimpleAtod(cells[14], &t.translation_error_m) ||
-      !absl::SimpleAtod(cells[15], &t.rotation_error_deg) ||
-      !absl::SimpleAtod(cells[16], &t.sample_s) ||
-      !absl::SimpleAtod(cells[17], &t.icp_s)) {
+      !absl::SimpleAtoi(cells[14], &t.degenerate_count) ||
+      !absl::SimpleAtod(cells[15], &t.translation_error_m) ||
+      !absl::SimpleAtod(cells[16], &t.rotation_error_deg) ||
+      !absl::SimpleAtod(cells[17], &t.sample_s) ||
+      !absl::SimpleAtod(cells[18], &t.icp_s)) {
     return absl::InvalidArgumentError("is not the line of a registration");
   }
   t.environment = *environment;

@@ -176,7 +176,8 @@ struct Kernels {
 /// The version in use: the fastest that this processor runs. Thread-safe.
 const Kernels& ActiveKernels();
 
-/// Makes `kernels` the version in use, for benchmarks. Not while others filter.
+/// Makes `kernels` the version in use, for tests and benchmarks. Not while
+/// others filter.
 void UseKernels(const Kernels& kernels);
 
 /// Every version that this processor runs, the portable one first; for tests

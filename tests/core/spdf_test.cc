@@ -8,6 +8,7 @@
 #include "core/cloud/merge_duplicates.h"
 #include "core/geometry/morton.h"
 #include "core/spdf/cloud_filter.h"
+#include "core/spdf/kernels.h"
 #include "tests/testing/brute_force_filter.h"
 #include "tests/testing/clouds.h"
 #include "tests/testing/status_matchers.h"
@@ -86,6 +87,23 @@ TEST(Spdf, EqualsBruteForceBitForBit) {
         EXPECT_TRUE(actual.positions == expected.positions);
         EXPECT_TRUE(actual.columns == expected.columns);
       }
+    }
+  }
+}
+
+TEST(Spdf, EveryInstructionSetGivesTheSameBytes) {
+  const LatticeCloud cloud = clouds::SceneCloud(20000, 2, 12);
+  int count = 0;
+  const Kernels* const* kernels = AvailableKernels(&count);
+  for (const DensityRule rule : {DensityRule::kPaper, DensityRule::kQuota}) {
+    const SpdfOptions options = {.density_radius_m = 0.2, .rule = rule};
+    const Answer expected = Filter(cloud, options);
+    EXPECT_LT(expected.positions.size(), cloud.size());
+    for (int i = 0; i < count; ++i) {
+      SCOPED_TRACE(kernels[i]->name);
+      UseKernels(*kernels[i]);
+      ExpectSame(Filter(cloud, options), expected);
+      UseKernels(*kernels[count - 1]);
     }
   }
 }

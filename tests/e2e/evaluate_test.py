@@ -267,6 +267,32 @@ class EvaluateMaps(FolderTest):
         self.assertIn("are taken as the truth", result.stderr)
         self.assertEqual(json.loads(result.stdout)["truth"], "identity")
 
+    def test_tells_that_nothing_holds_maps_of_a_plane(self):
+        plane = self.work / "plane.csv"
+        numbers = random.Random(6)
+        with open(plane, "w") as file:
+            print("x,y,z", file=file)
+            for _ in range(2000):
+                print(*(f"{numbers.uniform(0, 5):.3f}" for _ in range(2)), 1,
+                      sep=",", file=file)
+        options = ("evaluate", "-o", self.work / "plane", "--maps", plane,
+                   plane, *self.few, "--counts", 500)
+        for row in mapsieve(*options)["needed_points"]:
+            self.assertEqual(row["degenerate"], row["trials"])
+        for name in ("needed_points.csv", "summary.csv"):
+            with open(self.work / "plane" / name) as file:
+                for row in csv.DictReader(file):
+                    self.assertEqual(row["degenerate"], row["trials"])
+        said = "In 8 of 8 registrations the points slide"
+        self.assertIn(said, run_command(*options).stdout)
+        self.assertIn(said, (self.work / "plane/report.html").read_text())
+        held = self.evaluate("held", "--maps", self.first, self.second,
+                             *self.truth, "--counts", 500)
+        self.assertEqual([row["degenerate"] for row in held["needed_points"]],
+                         [0, 0])
+        self.assertNotIn("the points slide",
+                         (self.work / "held/report.html").read_text())
+
     def test_refuses_wrong_maps_in_a_line(self):
         (self.work / "empty.csv").write_text("x,y,z\n")
         (self.work / "one.csv").write_text("x,y,z\n1,2,3\n")

@@ -116,6 +116,7 @@ TEST(Summarize, GivesTheValuesOfHand) {
   Trial turned = TrialOf(4, "a", 0.11);
   turned.rotation_error_deg = 5.1;
   turned.outcome = TrialOutcome::kIterationLimit;
+  turned.degenerate_count = 2;
   trials.push_back(turned);
 
   const std::vector<GroupSummary> summaries = Summarize(trials);
@@ -126,6 +127,7 @@ TEST(Summarize, GivesTheValuesOfHand) {
   EXPECT_EQ(all->trial_count, 12);
   EXPECT_EQ(all->failure_count, 2);
   EXPECT_EQ(all->converged_count, 10);
+  EXPECT_EQ(all->degenerate_count, 1);
   EXPECT_NEAR(all->translation_m.median, 0.065, 1e-12);
   EXPECT_NEAR(all->translation_m.lower_quartile, 0.0375, 1e-12);
   EXPECT_NEAR(all->translation_m.upper_quartile, 0.0925, 1e-12);

@@ -103,6 +103,26 @@ TEST(Evaluation, FindsThePoseOfAPairWithoutNoise) {
   }
 }
 
+TEST(Evaluation, TellsDirectionsThatNothingHolds) {
+  const TemporaryDirectory folder;
+  EvaluationOptions options;
+  options.methods = {{SampleMethod::kRandom}};
+  options.counts = {1000};
+  options.max_rotation_deg = 5;
+  const core::LatticeCloud plane = mapsieve::testing::PlaneCloud(2000, 4, 5);
+  const std::vector<PairSource> pairs = {PairOf("corner", Corner()),
+                                         PairOf("plane", plane)};
+  MAPSIEVE_ASSERT_OK(RunEvaluation(options, pairs, folder / "trials.csv"));
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<Trial> trials,
+                                ReadTrials(folder / "trials.csv"));
+  ASSERT_EQ(trials.size(), 8u);
+  for (const Trial& trial : trials) {
+    // Two ways to slide on a plane and one to turn.
+    EXPECT_EQ(trial.degenerate_count, trial.pair == "plane" ? 3 : 0)
+        << TrialLine(trial);
+  }
+}
+
 TEST(Evaluation, BrokenOffItEndsWithTheSameLines) {
   const TemporaryDirectory folder;
   const SmallEvaluation small;
@@ -389,6 +409,7 @@ TEST(TrialFile, LinesComeBack) {
                  .reading_points = 5,
                  .reference_points = 6,
                  .iteration_count = 7,
+                 .degenerate_count = 3,
                  .translation_error_m = HUGE_VAL,
                  .rotation_error_deg = HUGE_VAL,
                  .sample_s = 0.5,
@@ -397,7 +418,7 @@ TEST(TrialFile, LinesComeBack) {
   EXPECT_EQ(
       line,
       "a b,unstructured,spdf-quota,plane-to-plane,0.800000000,30,2000,3,"
-      "0.250000000,12.500000000,no-sample,5,6,7,inf,inf,0.500000,0.250000\n");
+      "0.250000000,12.500000000,no-sample,5,6,7,3,inf,inf,0.500000,0.250000\n");
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Trial back,
                                 ParseTrial(line.substr(0, line.size() - 1)));
   EXPECT_EQ(TrialLine(back), line);
@@ -405,7 +426,7 @@ TEST(TrialFile, LinesComeBack) {
             std::count(TrialHeader().begin(), TrialHeader().end(), ','));
   EXPECT_THAT(ParseTrial("a,b,c"),
               StatusIs(absl::StatusCode::kInvalidArgument, ::testing::_));
-  EXPECT_THAT(ParseTrial("a,real,m,none,0,0,1,0,0,0,skipped,0,0,0,0,0,0,0"),
+  EXPECT_THAT(ParseTrial("a,real,m,none,0,0,1,0,0,0,skipped,0,0,0,0,0,0,0,0"),
               StatusIs(absl::StatusCode::kInvalidArgument, ::testing::_));
 }
 
