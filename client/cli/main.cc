@@ -751,8 +751,8 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
         options->options.trial_count = 313;
       },
       "The paper's size: 109 simulated pairs of dense scans, 1000 to 200000 "
-      "points, 2504 registrations of each pair and method; options beside it "
-      "count");
+      "points, 2504 registrations of each pair, method and ICP; some days: ask "
+      "--estimate first; options beside it count");
   CLI::Option* maps =
       command
           ->add_option_function<std::vector<std::string>>(

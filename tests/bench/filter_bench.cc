@@ -147,7 +147,9 @@ double PeakBytesPerPoint(const char* program, const std::string& cloud,
       std::to_string(options.spdf.vote_scale_m2) + " --reach " +
       std::to_string(options.spdf.reach_m) + " --neighbors " +
       std::to_string(options.spdf.neighbor_count) + " --threads " +
-      std::to_string(options.threads) + " '" + cloud + "'";
+      std::to_string(options.threads) +
+      (options.kernels.empty() ? "" : " --kernels " + options.kernels) + " '" +
+      cloud + "'";
   FILE* pipe = popen(command.c_str(), "r");
   double value = 0;
   if (pipe == nullptr || std::fscanf(pipe, "%lf", &value) != 1) {
