@@ -111,8 +111,8 @@ inline constexpr size_t kMaxBlocksAhead = 3;
 /// give the same blocks. Used by one thread.
 class AnswerStream {
  public:
-  /// `choice`: of the points that pass the filter those that stay, which lacks
-  /// the chunks of `missing`; null: all. Everything outlives the stream.
+  /// `choice`: those that stay of the points that pass the filter, made without
+  /// the chunks of `missing`; null: all stay. Everything outlives the stream.
   /// Without a choice damaged chunks are added to `missing`, with one they are
   /// kDataLoss.
   AnswerStream(const AnswerSource& source, const Choice* choice,
