@@ -6,6 +6,7 @@
 #include <fstream>
 #include <limits>
 #include <optional>
+#include <string>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -19,6 +20,7 @@
 #include "client/cli/progress_bar.h"
 #include "client/cli/revision_json.h"
 #include "client/cli/upload_report.h"
+#include "client/formats/coordinate_systems.h"
 #include "client/formats/occupancy_file.h"
 #include "client/formats/point_file.h"
 #include "core/base/status.h"
@@ -235,6 +237,14 @@ absl::Status RunCreate(const CommonOptions& common,
     spec.step_nm = static_cast<int64_t>(step_nm);
   }
   MAPSIEVE_ASSIGN_OR_RETURN(const MapInfo map, client.CreateMap(spec));
+  if (!command.crs.empty()) {
+    // A newer database may know it: the map keeps the text.
+    if (const absl::Status known = WktOfCrs(command.crs).status();
+        absl::IsNotFound(known)) {
+      std::fprintf(stderr, "mapsieve: warning: --crs: %s\n",
+                   std::string(known.message()).c_str());
+    }
+  }
   PrintResult(common.json,
               {{"map", map.id},
                {"step", Step(map)},

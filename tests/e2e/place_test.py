@@ -128,6 +128,18 @@ class Place(ServedTest):
             self.assertEqual(codes, [], name)
             self.assertGreater(report["added_point_count"], 0)
 
+    def test_create_tells_of_a_crs_that_is_not_known(self):
+        for name, crs, said in (("typo", "EPSG:99999", 'no coordinate '
+                                 'reference system "EPSG:99999"'),
+                                ("words", "UTM zone 32", "no coordinate"),
+                                ("utm", "EPSG:25832+7837", "")):
+            result = self.server.run_command("create", name, "--crs",
+                                             crs)
+            self.assertEqual(result.returncode, 0, result.stderr)
+            self.assertIn(said, result.stderr)
+            self.assertEqual(bool(said), "warning: --crs" in result.stderr)
+            self.assertEqual(self.mapsieve("info", name)["crs"], crs)
+
     @unittest.skipIf(DATA is None, "no test data")
     def test_a_map_with_points_keeps_its_crs(self):
         utm15, utm19, feet = (DATA / LAS_FILES[i][0] for i in (0, 2, 3))
