@@ -6,8 +6,6 @@
 #include <string>
 #include <vector>
 
-#include "absl/status/statusor.h"
-
 /// The coordinate reference system of GeoTIFF keys (GeoTIFF 1.0 section 2.7,
 /// OGC 19-008), which LAS holds in three records. Any bytes may be given; all
 /// functions are thread-safe.

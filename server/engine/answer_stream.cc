@@ -169,11 +169,7 @@ absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
   // The first block takes what one chunk has.
   const size_t wanted =
       taken_totals_.point_count == 0 ? size_t{1} : PointsPerBlock();
-  if (choice_ != nullptr) {
-    MAPSIEVE_RETURN_IF_ERROR(LoadChosen(wanted));
-  } else {
-    MAPSIEVE_RETURN_IF_ERROR(LoadPending(wanted));
-  }
+  MAPSIEVE_RETURN_IF_ERROR(LoadPending(wanted));
   const size_t count = std::min(PointsPerBlock(), PendingCount());
   for (size_t row = taken_; row < taken_ + count; ++row) {
     ++taken_totals_.label_counts[static_cast<size_t>(pending_labels_[row])];
@@ -191,6 +187,7 @@ absl::StatusOr<LatticeCloud> AnswerStream::TakePoints() {
 }
 
 absl::Status AnswerStream::LoadPending(size_t wanted) {
+  if (choice_ != nullptr) return LoadChosen(wanted);
   while (!is_walked_ && !stored_.has_value() && PendingCount() < wanted) {
     MAPSIEVE_RETURN_IF_ERROR(LoadChunk());
   }

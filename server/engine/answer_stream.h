@@ -164,8 +164,8 @@ class AnswerStream {
   /// Appends what stays of the next chunk to the pending points, or makes it
   /// the stored chunk.
   absl::Status LoadChunk();
-  /// Appends chosen points until `wanted` are pending, if there are so many:
-  /// chunks without any are not read, others side by side.
+  /// LoadPending with a choice: chunks without chosen points are not read,
+  /// others side by side.
   absl::Status LoadChosen(size_t wanted);
   /// Leaves those of `passed`, the candidates from number `begin` on, that have
   /// the entries [first, last) of the choice, and returns where they are in the

@@ -10,11 +10,11 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
-#include "core/base/bytes.h"
 #include "core/cloud/point_cloud.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/formats/file_table.h"
+#include "tests/formats/packed.h"
 #include "tests/testing/status_matchers.h"
 
 namespace mapsieve::client {
@@ -29,15 +29,9 @@ using mapsieve::testing::StatusIs;
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using testing::Packed;
 using testing::ReadAll;
 using testing::TemporaryFile;
-
-template <typename... Fields>
-std::string Packed(Fields... fields) {
-  ByteWriter writer;
-  (writer.Put(fields), ...);
-  return {reinterpret_cast<const char*>(writer.bytes().data()), writer.size()};
-}
 
 // The simplest LZF there is: literals only.
 std::string LzfLiterals(std::string_view raw) {
