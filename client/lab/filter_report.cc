@@ -262,8 +262,8 @@ FilterReport MakeFilterReport(const LatticeCloud& cloud,
          std::pow(options.density_radius_m, dimension));
     report.expected_strength[Index(label)] = core::ExpectedStrength(
         dimension, options.vote_scale_m2, options.density_radius_m);
-    report.expected_saliency[Index(label)] = core::ExpectedSaliency(
-        dimension, options.vote_scale_m2, options.density_radius_m);
+    report.expected_saliency[Index(label)] =
+        core::ExpectedSaliency(dimension, options);
   }
   const BallCounter input = CounterOf(cloud, unfiltered.rows);
   for (const RuleRun& run : runs) {

@@ -69,10 +69,8 @@ OutlierTest OutlierTest::OfIdealShapes(const SpdfOptions& options,
   OutlierTest test;
   for (size_t l = 0; l < kLabelCount; ++l) {
     const int dimension = static_cast<Label>(l) == Label::kCurve ? 1 : 2;
-    test.threshold_[l] = static_cast<uint32_t>(
-        std::ceil(share * kFullConfidence *
-                  ExpectedSaliency(dimension, options.vote_scale_m2,
-                                   options.density_radius_m)));
+    test.threshold_[l] = static_cast<uint32_t>(std::ceil(
+        share * kFullConfidence * ExpectedSaliency(dimension, options)));
   }
   return test;
 }

@@ -33,6 +33,10 @@ absl::Status CheckRadius(const char* field, double radius2,
                    " steps: change it or the map's step"));
 }
 
+bool IsNeighborCount(int count) {
+  return count >= kMinNeighborCount && count <= kMaxNeighborCount;
+}
+
 }  // namespace
 
 std::string_view DensityRuleName(DensityRule rule) {
@@ -40,9 +44,7 @@ std::string_view DensityRuleName(DensityRule rule) {
 }
 
 absl::Status CheckNeighborCount(int count) {
-  if (count >= kMinNeighborCount && count <= kMaxNeighborCount) {
-    return absl::OkStatus();
-  }
+  if (IsNeighborCount(count)) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrCat("neighbor_count is ", count, "; it must be ",
                    kMinNeighborCount, " to ", kMaxNeighborCount));
@@ -50,6 +52,12 @@ absl::Status CheckNeighborCount(int count) {
 
 absl::Status SpdfOptions::Validate(const Lattice& lattice) const {
   MAPSIEVE_RETURN_IF_ERROR(CheckNeighborCount(neighbor_count));
+  if (label_neighbor_count != 0 && !IsNeighborCount(label_neighbor_count)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "label_neighbor_count is ", label_neighbor_count, "; it must be ",
+        kMinNeighborCount, " to ", kMaxNeighborCount,
+        ", or 0 for as many as neighbor_count"));
+  }
   // Negated comparisons refuse NaN too.
   if (!(vote_scale_m2 > 0) || !std::isfinite(vote_scale_m2)) {
     return absl::InvalidArgumentError(absl::StrCat(
@@ -103,11 +111,15 @@ double ExpectedStrength(int dimension, double vote_scale_m2,
   }
 }
 
-double ExpectedSaliency(int dimension, double vote_scale_m2,
-                        double density_radius_m) {
+double ExpectedSaliency(int dimension, const SpdfOptions& options) {
   constexpr double kVoterShare[] = {0.5, 0.25, 0};
+  const double radius_m =
+      options.density_radius_m *
+      std::pow(static_cast<double>(options.LabelNeighborCount()) /
+                   options.neighbor_count,
+               1.0 / dimension);
   const double strength =
-      ExpectedStrength(dimension, vote_scale_m2, density_radius_m);
+      ExpectedStrength(dimension, options.vote_scale_m2, radius_m);
   return kVoterShare[dimension - 1] * strength * strength;
 }
 
@@ -115,6 +127,7 @@ SpdfConstants MakeSpdfConstants(const SpdfOptions& options,
                                 const Lattice& lattice) {
   SpdfConstants constants;
   constants.neighbor_count = options.neighbor_count;
+  constants.label_neighbor_count = options.LabelNeighborCount();
   constants.reach_d2 =
       static_cast<int32_t>(RadiusInSteps2(ReachSquared(options), lattice));
   constants.density_d2 =

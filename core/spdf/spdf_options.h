@@ -26,6 +26,10 @@ std::string_view DensityRuleName(DensityRule rule);
 struct SpdfOptions {
   /// Neighbours that vote for a point (the paper's k), 6 to 127.
   int neighbor_count = 50;
+  /// Neighbours that vote for the label and the directions of a point that
+  /// stays, 6 to 127; 0: neighbor_count. The more, the less noise of the
+  /// positions matters, and the wider edges are.
+  int label_neighbor_count = 0;
   /// The vote kernel is exp(-distance² / vote_scale_m2) (the paper's sigma);
   /// above 0.
   double vote_scale_m2 = 0.2;
@@ -48,6 +52,12 @@ struct SpdfOptions {
   /// kInvalidArgument, naming the field, its value and its limits on `lattice`.
   absl::Status Validate(const Lattice& lattice) const;
 
+  /// Neighbours that vote for labels: label_neighbor_count, its default
+  /// replaced.
+  int LabelNeighborCount() const {
+    return label_neighbor_count > 0 ? label_neighbor_count : neighbor_count;
+  }
+
   friend bool operator==(const SpdfOptions&, const SpdfOptions&) = default;
 };
 
@@ -64,6 +74,7 @@ absl::Status CheckNeighborCount(int count);
 /// SpdfOptions as the integers and floats that the filter computes with.
 struct SpdfConstants {
   int neighbor_count = 0;
+  int label_neighbor_count = 0;
   /// Largest squared distance, in steps², of a voter.
   int32_t reach_d2 = 0;
   /// Largest squared distance within the density radius.
@@ -92,13 +103,13 @@ int64_t RadiusD2(double radius_m, const Lattice& lattice);
 double ExpectedStrength(int dimension, double vote_scale_m2,
                         double density_radius_m);
 
-/// The saliency that such strengths give a point of an ideal shape: a line's
-/// voters carry strength/2 across it, a plane's strength/4 along its normal, a
-/// volume's nothing, and votes multiply by the strength once more. For
-/// infinitely many neighbours: the tensors of k voters in a volume differ by
-/// chance, so its saliency is above 0.
-double ExpectedSaliency(int dimension, double vote_scale_m2,
-                        double density_radius_m);
+/// The saliency of a point of an ideal shape of that density, whose neighbours
+/// fill a ball wider than the density radius if more of them vote for labels.
+/// Of the strength there, a line's voters carry half across it, a plane's a
+/// quarter along its normal, a volume's nothing, and votes multiply by the
+/// strength once more. For infinitely many neighbours: the tensors of k voters
+/// in a volume differ by chance, so its saliency is above 0.
+double ExpectedSaliency(int dimension, const SpdfOptions& options);
 
 }  // namespace mapsieve::core
 

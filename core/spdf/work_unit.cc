@@ -132,12 +132,12 @@ void WorkUnit::RemoveDead(int round) {
 
 template <typename IsWanted, typename MakeVisitor>
 absl::Status WorkUnit::ForEachGroup(const ExecutionContext& context,
-                                    uint32_t group_points,
+                                    uint32_t group_points, int neighbor_count,
                                     const IsWanted& is_wanted,
                                     const MakeVisitor& make_visitor) const {
   using Node = PointIndex::Node;
   const std::span<const Node> nodes = index_.nodes();
-  const auto k = static_cast<uint32_t>(constants_.neighbor_count);
+  const auto k = static_cast<uint32_t>(neighbor_count);
   const auto bound_within = [&](const Node& node, int64_t bound) {
     return node.size() > k ? std::min(bound, Diagonal(node.box)) : bound;
   };
@@ -192,11 +192,12 @@ absl::Status WorkUnit::ForEachGroup(const ExecutionContext& context,
 }
 
 template <typename Use>
-void WorkUnit::CastBallVotes(GatheredBlock& block, int64_t bound,
-                             int32_t limit_d2, std::span<const uint32_t> points,
+void WorkUnit::CastBallVotes(GatheredBlock& block, int neighbor_count,
+                             int64_t bound, int32_t limit_d2,
+                             std::span<const uint32_t> points,
                              LocalCount& votes, const Use& use) const {
   const Kernels& kernels = ActiveKernels();
-  const int k = constants_.neighbor_count;
+  const int k = neighbor_count;
   const int64_t radius = std::min(CeilRoot(limit_d2), bound);
   SplitWide(
       index_, points, GroupExtent(radius),
@@ -292,7 +293,7 @@ class WorkUnit::RoundVisitor {
     const int k = constants_.neighbor_count;
     undecided_.clear();
     unit_.CastBallVotes(
-        block_, bound, early_d2_, points, votes_,
+        block_, k, bound, early_d2_, points, votes_,
         [&](uint32_t i, const BallSums& sums) {
           // Without all neighbours, whatever is missing lies beyond.
           const int64_t missing =
@@ -308,7 +309,7 @@ class WorkUnit::RoundVisitor {
         });
     if (undecided_.empty()) return;
     unit_.CastBallVotes(
-        block_, bound, constants_.reach_d2, undecided_, votes_,
+        block_, k, bound, constants_.reach_d2, undecided_, votes_,
         [&](uint32_t i, const BallSums& sums) {
           StateOf(i) = {};
           if (MayBeFlagged(sums.c0, constants_)) {
@@ -370,7 +371,7 @@ absl::StatusOr<WorkUnit::RoundCounts> WorkUnit::RunPaperRound(
   std::atomic<int64_t> died = 0;
   std::atomic<int64_t> flagged = 0;
   MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
-      context, kGroupPoints,
+      context, kGroupPoints, constants_.neighbor_count,
       [&](uint32_t number) {
         return round == 1 || round_states_[number].radius_d2 > 0;
       },
@@ -386,7 +387,8 @@ absl::Status WorkUnit::RunQuota(int64_t radius_d2,
                           .seed = options_.seed};
   const QuotaPriorities priorities(index_, rule.seed, *context.executor);
   return ForEachGroup(
-      context, kQuotaGroupPoints, [](uint32_t) { return true; },
+      context, kQuotaGroupPoints, constants_.neighbor_count,
+      [](uint32_t) { return true; },
       [&] {
         return [this, counter = QuotaCounter(priorities, rule)](
                    int64_t, std::span<const uint32_t> points) mutable {
@@ -403,8 +405,8 @@ class WorkUnit::VoterVisitor {
       : unit_(unit), votes_(unit.vote_count_), block_(unit.index_) {}
 
   void operator()(int64_t bound, std::span<const uint32_t> points) {
-    const int k = unit_.constants_.neighbor_count;
-    unit_.CastBallVotes(block_, bound, unit_.constants_.reach_d2, points,
+    const int k = unit_.constants_.label_neighbor_count;
+    unit_.CastBallVotes(block_, k, bound, unit_.constants_.reach_d2, points,
                         votes_, [&](uint32_t i, const BallSums& s) {
                           // T = C0 I - A / 2.
                           const double c0 = ToStrength(s.c0, k);
@@ -455,8 +457,8 @@ absl::Status WorkUnit::ComputeVoters(const ExecutionContext& context) {
   IndexSurvivors(kAlive - 1, context);
   voters_.resize(size());
   return ForEachGroup(
-      context, kGroupPoints, [](uint32_t) { return true; },
-      [&] { return VoterVisitor(*this); });
+      context, kGroupPoints, constants_.label_neighbor_count,
+      [](uint32_t) { return true; }, [&] { return VoterVisitor(*this); });
 }
 
 class WorkUnit::LabelVisitor {
@@ -507,7 +509,7 @@ class WorkUnit::LabelVisitor {
       const auto [x, y, z] = block_.Relative(i);
       VoteSums sums;
       kernels.aware_vote(block_.block(),
-                         {x, y, z, constants.neighbor_count,
+                         {x, y, z, constants.label_neighbor_count,
                           VoterOf(i).radius_d2, constants.weight_scale},
                          tensors, scratch, &sums);
       votes_.Add(sums.member_count);
@@ -523,7 +525,7 @@ class WorkUnit::LabelVisitor {
                                   sums.yy, sums.yz, sums.zz};
       for (size_t e = 0; e < 6; ++e) {
         batch_.entry[e][pending_] =
-            ToStrength(entries[e], constants.neighbor_count);
+            ToStrength(entries[e], constants.label_neighbor_count);
       }
       rows_[pending_] = i;
       if (++pending_ == EigenBatch::kSize) Flush();
@@ -590,7 +592,8 @@ absl::StatusOr<WorkUnit::Labeled> WorkUnit::CastAwareVotes(
   Labeled result{.points = index_.numbers()};
   result.columns.Resize(index_.size());
   MAPSIEVE_RETURN_IF_ERROR(ForEachGroup(
-      context, kGroupPoints, [](uint32_t) { return true; },
+      context, kGroupPoints, constants_.label_neighbor_count,
+      [](uint32_t) { return true; },
       [&] { return LabelVisitor(*this, result.columns); }));
   voters_ = BulkVector<VoterState>();
   return result;

@@ -124,21 +124,22 @@ class WorkUnit {
 
   /// Calls make_visitor() in each of many tasks, and what it returns for
   /// groups of up to `group_points` nearby wanted core points: visitor(bound,
-  /// index points). Each point of a group has the wanted number of neighbours
+  /// index points). Each point of a group has `neighbor_count` neighbours
   /// within `bound` steps, if that is not kUnbounded. `is_wanted(number)`.
   template <typename IsWanted, typename MakeVisitor>
   absl::Status ForEachGroup(const ExecutionContext& context,
-                            uint32_t group_points, const IsWanted& is_wanted,
+                            uint32_t group_points, int neighbor_count,
+                            const IsWanted& is_wanted,
                             const MakeVisitor& make_visitor) const;
 
   class LocalCount;
   /// Calls use(index point, sums) with the ball votes of some points from
-  /// neighbours within limit_d2; `bound` as in ForEachGroup. Adds to `votes`
-  /// how many were summed up.
+  /// neighbours within limit_d2; `bound` and neighbor_count as in
+  /// ForEachGroup. Adds to `votes` how many were summed up.
   template <typename Use>
-  void CastBallVotes(GatheredBlock& block, int64_t bound, int32_t limit_d2,
-                     std::span<const uint32_t> points, LocalCount& votes,
-                     const Use& use) const;
+  void CastBallVotes(GatheredBlock& block, int neighbor_count, int64_t bound,
+                     int32_t limit_d2, std::span<const uint32_t> points,
+                     LocalCount& votes, const Use& use) const;
 
   class RoundVisitor;
   class VoterVisitor;

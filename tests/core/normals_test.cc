@@ -18,22 +18,19 @@ constexpr DensityRule kRules[] = {DensityRule::kPaper, DensityRule::kQuota};
 
 /// The median error over both sparse and dense starts and several
 /// orientations: the largest.
-double WorstMedian(DensityRule rule, double radius_m, int neighbor_count,
-                   double noise_m) {
+double WorstMedian(const SpdfOptions& options, double noise_m) {
   double worst = 0;
   for (const double start : {1.5, 10.0}) {
     for (uint64_t seed = 1; seed <= 4; ++seed) {
       const shapes::IdealShape plane =
           shapes::MakeIdealShape({.dimension = 2,
-                                  .neighbor_count = neighbor_count,
-                                  .radius_m = radius_m,
+                                  .neighbor_count = options.neighbor_count,
+                                  .radius_m = options.density_radius_m,
                                   .start = start,
                                   .noise_m = noise_m,
                                   .seed = seed});
       const shapes::NormalError error =
-          shapes::MeasureNormalError(plane, {.neighbor_count = neighbor_count,
-                                             .density_radius_m = radius_m,
-                                             .rule = rule});
+          shapes::MeasureNormalError(plane, options);
       worst = std::max(worst, error.median);
     }
   }
@@ -52,7 +49,7 @@ LatticeCloud WithZAlong(const LatticeCloud& cloud, int axis) {
 TEST(Normals, OfPlanesWithoutNoiseAreWithinADegree) {
   for (const DensityRule rule : kRules) {
     SCOPED_TRACE(std::string(DensityRuleName(rule)));
-    EXPECT_LE(WorstMedian(rule, 0.2, 50, 0), 1);
+    EXPECT_LE(WorstMedian({.density_radius_m = 0.2, .rule = rule}, 0), 1);
   }
 }
 
@@ -77,11 +74,18 @@ TEST(Normals, OfPlanesAlongTheAxesAreWithinADegree) {
 TEST(Normals, OfPlanesWithTwoCentimetresOfNoiseNeedWideOrManyVoters) {
   for (const DensityRule rule : kRules) {
     SCOPED_TRACE(std::string(DensityRuleName(rule)));
-    EXPECT_LE(WorstMedian(rule, 0.4, 50, 0.02), 3);
-    EXPECT_LE(WorstMedian(rule, 0.2, 100, 0.02), 3);
-    // Where the noise is a tenth of the radius, 50 voters do not even it out:
-    // 3 degrees are not reached.
-    EXPECT_LE(WorstMedian(rule, 0.2, 50, 0.02), 4.5);
+    constexpr double kNoise = 0.02;
+    SpdfOptions options = {.density_radius_m = 0.4, .rule = rule};
+    EXPECT_LE(WorstMedian(options, kNoise), 3);
+    // Where the noise is a tenth of the radius, 50 voters do not even it out.
+    options.density_radius_m = 0.2;
+    EXPECT_GT(WorstMedian(options, kNoise), 3);
+    EXPECT_LE(WorstMedian(options, kNoise), 4.5);
+    options.label_neighbor_count = kMaxNeighborCount;
+    EXPECT_LE(WorstMedian(options, kNoise), 3);
+    options.label_neighbor_count = 0;
+    options.neighbor_count = 100;
+    EXPECT_LE(WorstMedian(options, kNoise), 3);
   }
 }
 

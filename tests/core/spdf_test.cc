@@ -73,10 +73,12 @@ TEST(Spdf, EqualsBruteForceBitForBit) {
   for (const auto& [name, cloud] : SmallClouds()) {
     const std::vector<LatticePoint> points = DistinctPoints(cloud.positions);
     for (const DensityRule rule : {DensityRule::kPaper, DensityRule::kQuota}) {
-      for (const int k : {6, 20, 50}) {
+      for (const auto& [k, label_k] : {std::pair(6, 0), std::pair(20, 127),
+                                       std::pair(50, 0), std::pair(50, 20)}) {
         SCOPED_TRACE(name + " " + std::string(DensityRuleName(rule)) + " k " +
-                     std::to_string(k));
+                     std::to_string(k) + " and " + std::to_string(label_k));
         const SpdfOptions options = {.neighbor_count = k,
+                                     .label_neighbor_count = label_k,
                                      .density_radius_m = k == 20 ? 0.05 : 0.2,
                                      .rule = rule,
                                      .seed = 7};
@@ -96,7 +98,10 @@ TEST(Spdf, EveryInstructionSetGivesTheSameBytes) {
   int count = 0;
   const Kernels* const* kernels = AvailableKernels(&count);
   for (const DensityRule rule : {DensityRule::kPaper, DensityRule::kQuota}) {
-    const SpdfOptions options = {.density_radius_m = 0.2, .rule = rule};
+    const SpdfOptions options = {
+        .label_neighbor_count = rule == DensityRule::kQuota ? 127 : 0,
+        .density_radius_m = 0.2,
+        .rule = rule};
     const Answer expected = Filter(cloud, options);
     EXPECT_LT(expected.positions.size(), cloud.size());
     for (int i = 0; i < count; ++i) {
@@ -549,10 +554,12 @@ TEST(FilterTiles, TheAnswerDoesNotDependOnTilesOrUnits) {
     for (const auto& [rule, rounds] :
          {std::pair(DensityRule::kPaper, 0), std::pair(DensityRule::kPaper, 10),
           std::pair(DensityRule::kQuota, 10)}) {
-      const SpdfOptions options = {.density_radius_m = 0.2,
-                                   .reach_m = 0.5,
-                                   .max_round_count = rounds,
-                                   .rule = rule};
+      const SpdfOptions options = {
+          .label_neighbor_count = rule == DensityRule::kQuota ? 127 : 0,
+          .density_radius_m = 0.2,
+          .reach_m = 0.5,
+          .max_round_count = rounds,
+          .rule = rule};
       const Answer expected = Filter(cloud, options);
       // In lock-step, and all rounds at once.
       for (const auto& [level, tiling] :

@@ -171,6 +171,10 @@ TEST(SpdfOptions, NameTheFieldAndTheLimit) {
   };
   expect({.neighbor_count = 5}, "neighbor_count is 5; it must be 6 to 127");
   expect({.neighbor_count = 128}, "neighbor_count");
+  expect({.label_neighbor_count = 5},
+         "label_neighbor_count is 5; it must be 6 to 127, or 0");
+  expect({.label_neighbor_count = 128}, "label_neighbor_count");
+  expect({.label_neighbor_count = -1}, "label_neighbor_count");
   expect({.vote_scale_m2 = 0}, "vote_scale_m2");
   expect({.vote_scale_m2 = std::nan("")}, "vote_scale_m2");
   expect({.vote_scale_m2 = 100}, "reach_m is");

@@ -185,7 +185,10 @@ std::vector<LatticePoint> Edited(std::vector<LatticePoint> points,
 TEST_P(UpdateTilesTest, GivesWhatFilteringFromScratchGives) {
   const Case& c = GetParam();
   const SpdfOptions options = {
-      .density_radius_m = 0.2, .reach_m = 0.5, .rule = c.rule};
+      .label_neighbor_count = c.rule == DensityRule::kQuota ? 127 : 0,
+      .density_radius_m = 0.2,
+      .reach_m = 0.5,
+      .rule = c.rule};
   const TilingOptions tiling = {.max_unit_points = c.max_unit_points};
   const Lattice lattice;
   std::mt19937_64 random(91);

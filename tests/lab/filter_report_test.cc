@@ -261,24 +261,28 @@ double MeanSaliency(const SaliencyHistogram& histogram) {
 
 TEST(FilterReport, FindsIdealShapesAtTargetAsExpected) {
   // Eight times the target: 100 points a metre, 318 a square metre.
-  const SpdfOptions options = {.neighbor_count = 40, .density_radius_m = 0.2};
+  SpdfOptions options = {.neighbor_count = 40, .density_radius_m = 0.2};
   const std::pair<Label, LatticeCloud> shapes[] = {
       {Label::kCurve, clouds::LineCloud(12800, 8, 51)},
       {Label::kSurface, clouds::PlaneCloud(40744, 2, 52)}};
-  for (const auto& [label, cloud] : shapes) {
-    SCOPED_TRACE(core::LabelName(label));
-    const FilterReport report = ReportOf(cloud, options);
-    const RuleReport& quota = report.rules[1];
-    const LabelDensity& density = quota.density[At(label)];
-    EXPECT_EQ(density.survivor_count, quota.survivor_count);
-    EXPECT_EQ(density.sparse_count, 0);
-    EXPECT_NEAR(density.reached.mean, 1, 0.05);
-    EXPECT_GT(density.input.median, 4);
-    EXPECT_NEAR(MeanSaliency(quota.saliency[At(label)]) /
-                    report.expected_saliency[At(label)],
-                1, 0.05);
-    EXPECT_GT(MeanSaliency(report.input_saliency[At(label)]),
-              report.expected_saliency[At(label)] * 1.05);
+  for (const int label_neighbor_count : {0, 90}) {
+    options.label_neighbor_count = label_neighbor_count;
+    for (const auto& [label, cloud] : shapes) {
+      SCOPED_TRACE(std::string(core::LabelName(label)) + " by " +
+                   std::to_string(options.LabelNeighborCount()));
+      const FilterReport report = ReportOf(cloud, options);
+      const RuleReport& quota = report.rules[1];
+      const LabelDensity& density = quota.density[At(label)];
+      EXPECT_EQ(density.survivor_count, quota.survivor_count);
+      EXPECT_EQ(density.sparse_count, 0);
+      EXPECT_NEAR(density.reached.mean, 1, 0.05);
+      EXPECT_GT(density.input.median, 4);
+      EXPECT_NEAR(MeanSaliency(quota.saliency[At(label)]) /
+                      report.expected_saliency[At(label)],
+                  1, 0.05);
+      EXPECT_GT(MeanSaliency(report.input_saliency[At(label)]),
+                report.expected_saliency[At(label)] * 1.05);
+    }
   }
 }
 

@@ -66,7 +66,7 @@ class Filter {
   }
 
  private:
-  std::vector<size_t> Neighbors(size_t i) const {
+  std::vector<size_t> Neighbors(size_t i, int count) const {
     std::vector<std::tuple<int64_t, int64_t, int64_t, int64_t, size_t>> near;
     for (size_t j = 0; j < points_.size(); ++j) {
       const int64_t d2 = SquaredDistance(points_[i], points_[j]);
@@ -76,18 +76,17 @@ class Filter {
       }
     }
     std::sort(near.begin(), near.end());
-    near.resize(
-        std::min(near.size(), static_cast<size_t>(constants_.neighbor_count)));
+    near.resize(std::min(near.size(), static_cast<size_t>(count)));
     std::vector<size_t> result;
     for (const auto& neighbor : near) result.push_back(std::get<4>(neighbor));
     return result;
   }
 
-  /// C0 and A of the ball vote.
-  std::pair<int64_t, Tensor> BallVote(size_t i) const {
+  /// C0 and A of the ball vote of `count` neighbours.
+  std::pair<int64_t, Tensor> BallVote(size_t i, int count) const {
     int64_t c0 = 0;
     Tensor a{};
-    for (const size_t j : Neighbors(i)) {
+    for (const size_t j : Neighbors(i, count)) {
       const auto dx = static_cast<float>(points_[i].x - points_[j].x);
       const auto dy = static_cast<float>(points_[i].y - points_[j].y);
       const auto dz = static_cast<float>(points_[i].z - points_[j].z);
@@ -105,15 +104,16 @@ class Filter {
     return {c0, a};
   }
 
-  double Scale(int64_t sum) const {
-    return static_cast<double>(sum) / (constants_.neighbor_count * 0x1p24);
+  static double Scale(int64_t sum, int count) {
+    return static_cast<double>(sum) / (count * 0x1p24);
   }
 
-  Symmetric3 BallTensor(size_t i) const {
-    const auto [c0, a] = BallVote(i);
-    const double c = Scale(c0);
-    return {c - Scale(a[0]) / 2, -Scale(a[1]) / 2, -Scale(a[2]) / 2,
-            c - Scale(a[3]) / 2, -Scale(a[4]) / 2, c - Scale(a[5]) / 2};
+  Symmetric3 BallTensor(size_t i, int count) const {
+    const auto [c0, a] = BallVote(i, count);
+    const double c = Scale(c0, count);
+    const auto half = [count](int64_t sum) { return Scale(sum, count) / 2; };
+    return {c - half(a[0]), -half(a[1]), -half(a[2]),
+            c - half(a[3]), -half(a[4]), c - half(a[5])};
   }
 
   void RunRounds() {
@@ -124,7 +124,8 @@ class Filter {
       std::vector<LatticePoint> survivors;
       bool any_flagged = false;
       for (size_t i = 0; i < points_.size(); ++i) {
-        const auto lambda = Decompose(BallTensor(i)).values;
+        const auto lambda =
+            Decompose(BallTensor(i, constants_.neighbor_count)).values;
         bool dies = false;
         const auto test = [&](bool flagged, int64_t number, double survival) {
           if (!flagged) return;
@@ -166,7 +167,7 @@ class Filter {
   }
 
   std::array<float, 6> Voter(size_t i) const {
-    const Symmetric3 t = BallTensor(i);
+    const Symmetric3 t = BallTensor(i, constants_.label_neighbor_count);
     const double smallest = SmallestEigenvalue(t);
     return {static_cast<float>(t.xx - smallest),
             static_cast<float>(t.xy),
@@ -179,7 +180,8 @@ class Filter {
   void AppendLabel(size_t i, const std::vector<std::array<float, 6>>& voters,
                    BruteForceResult& result) const {
     Tensor sum{};
-    const std::vector<size_t> neighbors = Neighbors(i);
+    const int count = constants_.label_neighbor_count;
+    const std::vector<size_t> neighbors = Neighbors(i, count);
     for (const size_t j : neighbors) {
       const int64_t d2 = SquaredDistance(points_[i], points_[j]);
       const float w = Weight(d2, constants_.weight_scale);
@@ -211,8 +213,9 @@ class Filter {
       columns.tangent.push_back(0);
       return;
     }
-    const auto eigen = Decompose({Scale(sum[0]), Scale(sum[1]), Scale(sum[2]),
-                                  Scale(sum[3]), Scale(sum[4]), Scale(sum[5])});
+    const auto eigen = Decompose({Scale(sum[0], count), Scale(sum[1], count),
+                                  Scale(sum[2], count), Scale(sum[3], count),
+                                  Scale(sum[4], count), Scale(sum[5], count)});
     const std::array<float, 3> lambda = {static_cast<float>(eigen.values[0]),
                                          static_cast<float>(eigen.values[1]),
                                          static_cast<float>(eigen.values[2])};
