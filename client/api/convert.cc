@@ -143,6 +143,9 @@ ProcessOptions FromProto(const v1::SpdfOptions& options) {
   if (options.has_neighbor_count()) {
     result.neighbor_count = options.neighbor_count();
   }
+  if (options.has_label_neighbor_count()) {
+    result.label_neighbor_count = options.label_neighbor_count();
+  }
   if (options.has_reach_m()) result.reach_m = options.reach_m();
   if (options.has_max_round_count()) {
     result.max_round_count = options.max_round_count();
@@ -384,6 +387,9 @@ v1::SpdfOptions ToProto(const ProcessOptions& options) {
   }
   if (options.neighbor_count) {
     result.set_neighbor_count(*options.neighbor_count);
+  }
+  if (options.label_neighbor_count) {
+    result.set_label_neighbor_count(*options.label_neighbor_count);
   }
   if (options.reach_m) result.set_reach_m(*options.reach_m);
   if (options.max_round_count) {

@@ -63,6 +63,7 @@ struct ProcessOptions {
   std::optional<double> vote_scale_m2;
   std::optional<double> density_radius_m;
   std::optional<int> neighbor_count;
+  std::optional<int> label_neighbor_count;
   std::optional<double> reach_m;
   std::optional<int> max_round_count;
   /// Rule quota instead of paper.

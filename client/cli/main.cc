@@ -35,6 +35,9 @@ void AddFilterOptions(CLI::App& command, Options& options) {
       "Vote kernel exp(-d^2 / sigma), in square map units, default 0.2");
   add("--neighbors", options.neighbor_count,
       "Neighbours that vote for a point (k), 6 to 127, default 50");
+  add("--label-neighbors", options.label_neighbor_count,
+      "Neighbours that vote for the label and normal of a point that stays, 6 "
+      "to 127: more against noise; default those of --neighbors");
   add("--reach", options.reach_m,
       "Largest distance of a vote, default where the kernel falls to 0.001");
   add("--rounds", options.max_round_count,

@@ -34,6 +34,7 @@ Json OptionsJson(const ProcessOptions& options) {
   add("rho", options.density_radius_m);
   add("sigma", options.vote_scale_m2);
   add("neighbors", options.neighbor_count);
+  add("label_neighbors", options.label_neighbor_count);
   add("reach", options.reach_m);
   add("rounds", options.max_round_count);
   if (options.quota_rule.has_value()) {

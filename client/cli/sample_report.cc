@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "client/cli/output.h"
 #include "client/cli/plot_file.h"
@@ -41,11 +42,14 @@ Json ByLabel(const MakeMember& make_member) {
 }
 
 Json OptionsJson(const core::SpdfOptions& options) {
-  return {
-      {"neighbors", options.neighbor_count},   {"sigma", options.vote_scale_m2},
-      {"rho", options.density_radius_m},       {"reach", options.reach_m},
-      {"rounds", options.max_round_count},     {"seed", options.seed},
-      {"outlier_share", options.outlier_share}};
+  return {{"neighbors", options.neighbor_count},
+          {"label_neighbors", options.LabelNeighborCount()},
+          {"sigma", options.vote_scale_m2},
+          {"rho", options.density_radius_m},
+          {"reach", options.reach_m},
+          {"rounds", options.max_round_count},
+          {"seed", options.seed},
+          {"outlier_share", options.outlier_share}};
 }
 
 Json DistributionJson(const Distribution& d) {
@@ -209,10 +213,14 @@ std::string FigureHead(const std::string& title) {
 }
 
 std::string OptionsText(const FilterReport& report) {
-  return absl::StrFormat("k = %d, σ = %g, ρ = %g, %d points",
-                         report.options.neighbor_count,
-                         report.options.vote_scale_m2,
-                         report.options.density_radius_m, report.point_count);
+  const core::SpdfOptions& options = report.options;
+  const std::string labels =
+      options.label_neighbor_count > 0
+          ? absl::StrCat(", labels by ", options.label_neighbor_count)
+          : "";
+  return absl::StrFormat("k = %d%s, σ = %g, ρ = %g, %d points",
+                         options.neighbor_count, labels, options.vote_scale_m2,
+                         options.density_radius_m, report.point_count);
 }
 
 /// The bins [first, end) outside of which all series are empty.

@@ -12,13 +12,17 @@ namespace {
 
 /// Options of version 1 belong to products whose directions have 16 bits a
 /// side: they never equal present ones, so that such a product is made anew and
-/// not brought up to date. Of records of operations, 2 has what concerns
-/// repairs. Notes of version 2 and outcomes of version 3 have all of an
-/// upload's report, and the notes its source. All others are 1.
+/// not brought up to date. Those of version 2 lack label_neighbor_count, and
+/// are still written where it is 0, so that they equal those of older products.
+/// Of records of operations, 2 has what concerns repairs, and requests of
+/// version 3 have label_neighbor_count. Notes of version 2 and outcomes of
+/// version 3 have all of an upload's report, and the notes its source. All
+/// others are 1.
 constexpr uint8_t kVersion = 1;
-constexpr uint8_t kOptionsVersion = 2;
+constexpr uint8_t kDefaultLabelsVersion = 2;
+constexpr uint8_t kOptionsVersion = 3;
 constexpr uint8_t kNotesVersion = 2;
-constexpr uint8_t kSpecVersion = 2;
+constexpr uint8_t kSpecVersion = 3;
 constexpr uint8_t kOutcomeVersion = 3;
 
 // Each record has one function Visit, which names its fields in their order:
@@ -152,6 +156,9 @@ void VisitOptions(V& v, T& options) {
   v.Field("rule", options.rule);
   v.Field("seed", options.seed);
   v.Field("outlier_share", options.outlier_share);
+  if (v.version() >= 3) {
+    v.Field("label_neighbor_count", options.label_neighbor_count);
+  }
 }
 
 template <typename V, typename T>
@@ -345,7 +352,9 @@ constexpr auto kOutcome = [](auto& v, auto& r) { VisitOutcome(v, r); };
 }  // namespace
 
 std::string FormatSpdfOptions(const core::SpdfOptions& options) {
-  return Format(options, kOptions, kOptionsVersion);
+  return Format(options, kOptions,
+                options.label_neighbor_count == 0 ? kDefaultLabelsVersion
+                                                  : kOptionsVersion);
 }
 absl::StatusOr<core::SpdfOptions> ParseSpdfOptions(std::string_view bytes) {
   return Parse<core::SpdfOptions>(bytes, "stored filter options", kOptions,

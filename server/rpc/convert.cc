@@ -161,6 +161,9 @@ absl::StatusOr<core::SpdfOptions> ToSpdfOptions(
   if (options.has_neighbor_count()) {
     result.neighbor_count = options.neighbor_count();
   }
+  if (options.has_label_neighbor_count()) {
+    result.label_neighbor_count = options.label_neighbor_count();
+  }
   if (options.has_reach_m()) result.reach_m = options.reach_m();
   if (options.has_max_round_count()) {
     result.max_round_count = options.max_round_count();
@@ -501,6 +504,7 @@ v1::SpdfOptions ToProto(const core::SpdfOptions& options) {
   result.set_vote_scale_m2(options.vote_scale_m2);
   result.set_density_radius_m(options.density_radius_m);
   result.set_neighbor_count(options.neighbor_count);
+  result.set_label_neighbor_count(options.label_neighbor_count);
   result.set_reach_m(options.reach_m);
   result.set_max_round_count(options.max_round_count);
   switch (options.rule) {

@@ -142,7 +142,8 @@ class MainPath(ServedTest):
     def test_simulated_campus(self):
         source = self.work / "campus.las"
         self.mapsieve("simulate", source, "--points", 150000)
-        info = self.check_map("campus", source, ("--rho", "0.2"))
+        options = ("--rho", "0.2", "--label-neighbors", "90")
+        info = self.check_map("campus", source, options)
         self.assertGreater(info["label_counts"]["surface"],
                            info["label_counts"]["curve"])
 
@@ -174,7 +175,7 @@ class MainPath(ServedTest):
 
         local = self.work / "local.csv"
         served = self.work / "served.csv"
-        self.mapsieve("sample", source, "--rho", "0.2", "-o", local)
+        self.mapsieve("sample", source, *options, "-o", local)
         self.mapsieve("query", "campus", "-o", served)
         self.assertEqual(self.rows(local), self.rows(served))
 
@@ -224,6 +225,8 @@ class MainPath(ServedTest):
             "end_header\n1 1 1 1\n")
         self.fails("upload", "bad", typed, message="uint8")
         self.fails("process", "bad", "--rho", "-1", message="density_radius_m")
+        self.fails("process", "bad", "--label-neighbors", "5",
+                   message="label_neighbor_count is 5; it must be 6 to 127")
         self.fails("query", "bad", "-o", self.work / "x.ply", message="process")
         self.fails("query", "bad", "--raw", "-o", self.work / "x.doc",
                    message="x.doc")

@@ -105,12 +105,13 @@ void ExpectRoundTrip(const T& record, const std::string& bytes,
   EXPECT_THAT(parse(bytes + "x"), StatusIs(absl::StatusCode::kDataLoss,
                                            HasSubstr("1 bytes too many")));
   std::string newer = bytes;
-  newer[0] = 3;
+  newer[0] = 4;
   EXPECT_THAT(parse(newer), StatusIs(absl::StatusCode::kDataLoss,
-                                     HasSubstr("version 3, expected at most")));
+                                     HasSubstr("version 4, expected at most")));
 }
 
 constexpr core::SpdfOptions kOptions = {.neighbor_count = 33,
+                                        .label_neighbor_count = 77,
                                         .vote_scale_m2 = 0.123,
                                         .density_radius_m = 0.77,
                                         .reach_m = 1.5,
@@ -192,12 +193,28 @@ TEST(OpaqueRecords, ComeBackAsTheyWere) {
 }
 
 TEST(OpaqueRecords, OptionsOfVersion1AreReadAndEqualNoneOfToday) {
-  std::string older = FormatSpdfOptions(kOptions);
+  core::SpdfOptions options = kOptions;
+  options.label_neighbor_count = 0;
+  std::string older = FormatSpdfOptions(options);
   ASSERT_EQ(older[0], 2);
   older[0] = 1;
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const core::SpdfOptions read,
                                 ParseSpdfOptions(older));
-  EXPECT_EQ(read, kOptions);
+  EXPECT_EQ(read, options);
+}
+
+// Or every product of an older program would be made anew.
+TEST(OpaqueRecords, OptionsWithDefaultLabelNeighboursAreThoseOfVersion2) {
+  std::string with = FormatSpdfOptions(kOptions);
+  ASSERT_EQ(with[0], 3);
+  with[0] = 2;
+  with.resize(with.size() - sizeof(int32_t));
+  core::SpdfOptions options = kOptions;
+  options.label_neighbor_count = 0;
+  EXPECT_EQ(FormatSpdfOptions(options), with);
+  MAPSIEVE_ASSERT_OK_AND_ASSIGN(const core::SpdfOptions read,
+                                ParseSpdfOptions(with));
+  EXPECT_EQ(read, options);
 }
 
 TEST(OpaqueRecords, NotesOfVersion1HaveNoCensus) {

@@ -63,7 +63,8 @@ TEST_P(TiledPipelineTest, GivesWhatTheFilterInMemoryGives) {
   }
   EXPECT_EQ(added, static_cast<int64_t>(scene.size()));
   for (const DensityRule rule : {DensityRule::kPaper, DensityRule::kQuota}) {
-    const SpdfOptions options = SceneOptions(rule);
+    SpdfOptions options = SceneOptions(rule);
+    if (rule == DensityRule::kQuota) options.label_neighbor_count = 60;
     const LatticeCloud expected = FilterLocally(scene, options);
     ASSERT_GT(expected.size(), scene.size() / 20);
     ASSERT_LT(expected.size(), scene.size() / 2);

@@ -68,6 +68,7 @@ TEST(ToSpdfOptions, UnsetFieldsAreTheDefaults) {
 
 TEST(ToSpdfOptions, RoundTrips) {
   const core::SpdfOptions options = {.neighbor_count = 20,
+                                     .label_neighbor_count = 90,
                                      .vote_scale_m2 = 0.3,
                                      .density_radius_m = 0.25,
                                      .reach_m = 2,
