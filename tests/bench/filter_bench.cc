@@ -1,7 +1,8 @@
 // Times the filter against one plain nanoflann pass over the same points, in
 // one run, and prints a table.
 //   filter_bench [--repeats N] [--threads N] [--rho M] [--sigma M2] [--reach M]
-//                [--neighbors K] [--kernels Portable|Avx2|Avx512] CLOUD…
+//                [--neighbors K] [--label-neighbors K]
+//                [--kernels Portable|Avx2|Avx512] CLOUD…
 // CLOUD is campus:N (N points of the simulated campus), campus:N:S (a rotation
 // every S metres: dense near the scanner as a standing scan is), or a file:
 // *.bin is float32 x y z, the rest by its extension.
@@ -146,7 +147,8 @@ double PeakBytesPerPoint(const char* program, const std::string& cloud,
       std::to_string(options.spdf.density_radius_m) + " --sigma " +
       std::to_string(options.spdf.vote_scale_m2) + " --reach " +
       std::to_string(options.spdf.reach_m) + " --neighbors " +
-      std::to_string(options.spdf.neighbor_count) + " --threads " +
+      std::to_string(options.spdf.neighbor_count) + " --label-neighbors " +
+      std::to_string(options.spdf.label_neighbor_count) + " --threads " +
       std::to_string(options.threads) +
       (options.kernels.empty() ? "" : " --kernels " + options.kernels) + " '" +
       cloud + "'";
@@ -254,6 +256,8 @@ BenchOptions ParseOptions(int argc, char** argv) {
       options.spdf.reach_m = value();
     } else if (arg == "--neighbors") {
       options.spdf.neighbor_count = static_cast<int>(value());
+    } else if (arg == "--label-neighbors") {
+      options.spdf.label_neighbor_count = static_cast<int>(value());
     } else if (arg == "--kernels" && i + 1 < argc) {
       options.kernels = argv[++i];
     } else if (arg.starts_with("--")) {

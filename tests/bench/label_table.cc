@@ -50,12 +50,28 @@ constexpr int64_t kFewestPoints = 20;
 struct Setting {
   double density_radius_m;
   double vote_scale_m2;
+  int label_neighbor_count = 0;
 };
-/// sigma: the default, rho², 5 rho².
-constexpr std::array kSettings = {Setting{0.1, 0.2},  Setting{0.1, 0.01},
-                                  Setting{0.1, 0.05}, Setting{0.2, 0.2},
-                                  Setting{0.2, 0.04}, Setting{0.4, 0.2},
-                                  Setting{0.4, 0.16}, Setting{0.4, 0.8}};
+constexpr int kMany = core::kMaxNeighborCount;
+/// sigma: the default, rho², 5 rho²; labels by as many neighbours as the
+/// density. Then by as many as may be, and a kernel so wide that each counts
+/// alike.
+constexpr std::array kSettings = {
+    Setting{0.1, 0.2},        Setting{0.1, 0.01},
+    Setting{0.1, 0.05},       Setting{0.2, 0.2},
+    Setting{0.2, 0.04},       Setting{0.4, 0.2},
+    Setting{0.4, 0.16},       Setting{0.4, 0.8},
+    Setting{0.1, 0.2, kMany}, Setting{0.1, 0.05, kMany},
+    Setting{0.1, 0.8, kMany}, Setting{0.2, 0.2, kMany},
+    Setting{0.2, 0.8, kMany}, Setting{0.4, 0.2, kMany},
+    Setting{0.4, 0.8, kMany}};
+
+/// As in a row's first cells.
+std::string LabelNeighbors(const Setting& setting) {
+  return setting.label_neighbor_count > 0
+             ? std::to_string(setting.label_neighbor_count)
+             : "k";
+}
 
 int64_t Sum(const LabelCounts& counts) {
   int64_t sum = 0;
@@ -163,6 +179,7 @@ absl::StatusOr<CloudResult> Evaluate(const KnownCloud& known,
   for (size_t s = 0; s < kSettings.size(); ++s) {
     core::SpdfOptions options = {
         .neighbor_count = neighbor_count,
+        .label_neighbor_count = kSettings[s].label_neighbor_count,
         .vote_scale_m2 = kSettings[s].vote_scale_m2,
         .density_radius_m = kSettings[s].density_radius_m};
     std::vector<int64_t>& others = others_of_radius[options.density_radius_m];
@@ -225,10 +242,10 @@ std::string OutlierShare(const Outcome& outcome) {
 void PrintConfusion(const CloudResult& result) {
   std::printf("\n### %s\n\n", result.name.c_str());
   std::printf(
-      "| on | rho, m | sigma, m2 | paper: points | junction / curve / surface "
-      "| outliers | after them | quota: points | junction / curve / surface | "
-      "outliers | after them "
-      "|\n|---|---|---|---|---|---|---|---|---|---|---|\n");
+      "| on | rho, m | sigma, m2 | label neighbors | paper: points | junction "
+      "/ curve / surface | outliers | after them | quota: points | junction / "
+      "curve / surface | outliers | after them "
+      "|\n|---|---|---|---|---|---|---|---|---|---|---|---|\n");
   std::vector<std::pair<std::string, size_t>> order;
   for (size_t kind = 0; kind < result.kinds.size(); ++kind) {
     order.emplace_back(result.kinds[kind].name, kind);
@@ -241,8 +258,9 @@ void PrintConfusion(const CloudResult& result) {
           kFewestPoints) {
         continue;
       }
-      std::printf("| %s | %.1f | %.2f |", name.c_str(),
-                  kSettings[s].density_radius_m, kSettings[s].vote_scale_m2);
+      std::printf("| %s | %.1f | %.2f | %s |", name.c_str(),
+                  kSettings[s].density_radius_m, kSettings[s].vote_scale_m2,
+                  LabelNeighbors(kSettings[s]).c_str());
       for (const RuleOutcome& rule : rules) {
         const Outcome& outcome = rule[kind];
         std::printf(" %lld | %s | %s | %s |",
@@ -291,8 +309,9 @@ void PrintBar(const std::string& name,
       }
     }
     if (is_empty) continue;
-    std::printf("| %s | %.1f | %.2f |%s\n", name.c_str(), rho,
-                kSettings[s].vote_scale_m2, row.c_str());
+    std::printf("| %s | %.1f | %.2f | %s |%s\n", name.c_str(), rho,
+                kSettings[s].vote_scale_m2,
+                LabelNeighbors(kSettings[s]).c_str(), row.c_str());
   }
 }
 
@@ -308,8 +327,9 @@ void PrintPosts(const std::vector<CloudResult>& results) {
     }
     std::sort(posts.begin(), posts.end());
     for (const auto& [radius, name] : posts) {
-      std::printf("| %.2f | %.2f | %.1f | %.2f |", radius / rho, radius * 100,
-                  rho, kSettings[s].vote_scale_m2);
+      std::printf("| %.2f | %.2f | %.1f | %.2f | %s |", radius / rho,
+                  radius * 100, rho, kSettings[s].vote_scale_m2,
+                  LabelNeighbors(kSettings[s]).c_str());
       for (size_t rule = 0; rule < kRules.size(); ++rule) {
         std::string before;
         std::string after;
@@ -339,9 +359,11 @@ void AddEdgeCounts(const Setting& setting, DensityRule rule, uint64_t seed,
   const core::LatticeCloud cloud =
       testing::EdgeCloud(kPointCount, kHalfEdge, seed);
   const auto filtered =
-      core::FilterCloud(cloud, {.vote_scale_m2 = setting.vote_scale_m2,
-                                .density_radius_m = setting.density_radius_m,
-                                .rule = rule})
+      core::FilterCloud(cloud,
+                        {.label_neighbor_count = setting.label_neighbor_count,
+                         .vote_scale_m2 = setting.vote_scale_m2,
+                         .density_radius_m = setting.density_radius_m,
+                         .rule = rule})
           .value();
   for (size_t i = 0; i < filtered.rows.size(); ++i) {
     const core::Point3 p =
@@ -357,15 +379,17 @@ void AddEdgeCounts(const Setting& setting, DensityRule rule, uint64_t seed,
 
 void PrintEdges() {
   const std::vector<double> limits = {0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1};
-  constexpr Setting kEdgeSettings[] = {{0.2, 0.2}, {0.2, 0.04}};
+  constexpr Setting kEdgeSettings[] = {
+      {0.2, 0.2}, {0.2, 0.04}, {0.2, 0.2, kMany}};
   constexpr uint64_t kSeedCount = 20;
   std::printf(
       "\n## Edges\n\nTwo walls at right angles without noise; junction / curve "
       "/ surface before the outlier test, %%.\n\n| from the edge, rho |");
   for (const Setting& setting : kEdgeSettings) {
-    std::printf(" paper, sigma %.2f | quota |", setting.vote_scale_m2);
+    std::printf(" paper, sigma %.2f, label neighbors %s | quota |",
+                setting.vote_scale_m2, LabelNeighbors(setting).c_str());
   }
-  std::printf("\n|---|---|---|---|---|\n");
+  std::printf("\n|---|---|---|---|---|---|---|\n");
   std::vector<std::vector<LabelCounts>> columns;
   for (const Setting& setting : kEdgeSettings) {
     for (const DensityRule rule : kRules) {
@@ -385,31 +409,44 @@ void PrintEdges() {
   }
 }
 
+testing::NormalError MeanNormalError(testing::IdealShapeOptions plane,
+                                     core::SpdfOptions options) {
+  constexpr int kSeedCount = 5;
+  testing::NormalError mean;
+  for (int seed = 1; seed <= kSeedCount; ++seed) {
+    plane.seed = static_cast<uint64_t>(seed);
+    options.seed = seed;
+    const testing::NormalError error =
+        testing::MeasureNormalError(testing::MakeIdealShape(plane), options);
+    mean.median += error.median / kSeedCount;
+    mean.p90 += error.p90 / kSeedCount;
+  }
+  return mean;
+}
+
 void PrintNormals() {
   std::printf(
       "\n## Normals\n\n| rho, m | noise, cm | start | paper: median | 90 %% | "
-      "quota: median | 90 %% |\n|---|---|---|---|---|---|---|\n");
-  constexpr int kSeedCount = 5;
+      "quota: median | 90 %% | with %d label neighbors, paper: median | 90 %% "
+      "| quota: median | 90 %% |\n|---|---|---|---|---|---|---|---|---|---|---"
+      "|\n",
+      kMany);
   for (const double radius_m : {0.1, 0.2, 0.4}) {
     for (const double noise_m : {0.0, 0.01, 0.02}) {
       for (const double start : {1.5, 3.0, 10.0}) {
         std::printf("| %.1f | %.0f | %.1f |", radius_m, noise_m * 100, start);
-        for (const DensityRule rule : kRules) {
-          testing::NormalError mean;
-          for (int seed = 1; seed <= kSeedCount; ++seed) {
-            const testing::IdealShape plane =
-                testing::MakeIdealShape({.dimension = 2,
-                                         .radius_m = radius_m,
-                                         .start = start,
-                                         .noise_m = noise_m,
-                                         .seed = static_cast<uint64_t>(seed)});
-            const testing::NormalError error = testing::MeasureNormalError(
-                plane,
-                {.density_radius_m = radius_m, .rule = rule, .seed = seed});
-            mean.median += error.median / kSeedCount;
-            mean.p90 += error.p90 / kSeedCount;
+        for (const int label_neighbor_count : {0, kMany}) {
+          for (const DensityRule rule : kRules) {
+            const testing::NormalError mean =
+                MeanNormalError({.dimension = 2,
+                                 .radius_m = radius_m,
+                                 .start = start,
+                                 .noise_m = noise_m},
+                                {.label_neighbor_count = label_neighbor_count,
+                                 .density_radius_m = radius_m,
+                                 .rule = rule});
+            std::printf(" %.2f | %.2f |", mean.median, mean.p90);
           }
-          std::printf(" %.2f | %.2f |", mean.median, mean.p90);
         }
         std::printf("\n");
       }
@@ -446,8 +483,9 @@ void PrintDeserved(const Simulated& simulated,
   std::printf(
       "## Labels deserved\n\nOf what is kept: clear surfaces that are surface, "
       "clear posts with 10 r <= rho that are curve, %%; noise 0 / 1.2 / 2 cm."
-      "\n\n| cloud | rho, m | sigma, m2 | paper: surfaces | posts | quota: "
-      "surfaces | posts |\n|---|---|---|---|---|---|---|\n");
+      "\n\n| cloud | rho, m | sigma, m2 | label neighbors | paper: surfaces | "
+      "posts | quota: surfaces | posts |\n|---|---|---|---|---|---|---|---|"
+      "\n");
   PrintBar("campus", simulated.campus);
   PrintBar("yard", simulated.yard);
   for (const CloudResult& result : references) PrintBar(result.name, {result});
@@ -457,8 +495,11 @@ void PrintDeserved(const Simulated& simulated,
 void PrintAxes(const std::string& name,
                const std::vector<CloudResult>& results) {
   for (size_t s = 0; s < kSettings.size(); ++s) {
-    const auto [rho, sigma] = kSettings[s];
-    if (sigma != core::SpdfOptions().vote_scale_m2) continue;
+    const auto [rho, sigma, label_neighbor_count] = kSettings[s];
+    if (sigma != core::SpdfOptions().vote_scale_m2 ||
+        label_neighbor_count != 0) {
+      continue;
+    }
     std::string row;
     bool is_empty = true;
     for (const Label expected : {Label::kSurface, Label::kCurve}) {
@@ -514,8 +555,8 @@ absl::Status PrintTables(const std::string& reference_folder) {
   std::printf(
       "\n## Posts\n\nOf the yard; curve before the outlier test, and outliers, "
       "%%; noise 0 / 1.2 / 2 cm.\n\n| r / rho | r, cm | rho, m | sigma, m2 | "
-      "paper: curve | outliers | quota: curve | outliers |\n"
-      "|---|---|---|---|---|---|---|---|\n");
+      "label neighbors | paper: curve | outliers | quota: curve | outliers |\n"
+      "|---|---|---|---|---|---|---|---|---|\n");
   PrintPosts(simulated.yard);
 
   std::printf("\n## Confusion\n");
