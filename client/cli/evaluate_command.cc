@@ -102,6 +102,7 @@ Json SettingsJson(const Plan& plan, double target_m) {
                    {"max_translation_m", options.max_translation_m},
                    {"max_rotation_deg", options.max_rotation_deg},
                    {"min_normal_cosine", options.min_normal_cosine},
+                   {"label_neighbors", options.label_neighbor_count},
                    {"reading_points", options.reading_point_count},
                    {"target_m", target_m}};
   if (plan.about.contains("truth")) settings["truth"] = plan.about["truth"];

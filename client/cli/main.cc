@@ -837,6 +837,9 @@ void AddEvaluate(CLI::App& app, const CommonOptions& common, Run& run) {
                       "ICP pairs no points whose normals' cosine is below this "
                       "in magnitude (0 to 1): they lie on different surfaces; "
                       "default 0.5; 0 pairs all");
+  command->add_option("--label-neighbors", evaluation.label_neighbor_count,
+                      "Of methods by the filter: neighbours that vote for a "
+                      "label, 6 to 127; default 50");
   options->threads =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   command->add_option("--threads", options->threads, "Default: one a processor")

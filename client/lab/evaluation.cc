@@ -109,6 +109,7 @@ std::vector<Trial> PlannedTrials(const EvaluationOptions& options,
       trial.method = cell.method.name();
       trial.icp = icp;
       trial.min_normal_cosine = options.min_normal_cosine;
+      trial.label_neighbor_count = options.label_neighbor_count;
       trial.reading_point_count = options.reading_point_count;
       trial.count = cell.count;
       trial.number = number;
@@ -194,6 +195,7 @@ absl::StatusOr<SampledScan> SampleScan(const VotedScan& scan,
   core::SamplerOptions sampler;
   sampler.method = method.sampler;
   sampler.max_points = count;
+  sampler.spdf.label_neighbor_count = options.label_neighbor_count;
   sampler.spdf.rule = method.rule;
   sampler.spdf.seed = static_cast<int64_t>(options.seed);
   if (method.sampler == SampleMethod::kSpatialSpdf) {
@@ -401,6 +403,7 @@ bool IsResultOf(const Trial& trial, const Trial& planned) {
          trial.environment == planned.environment &&
          trial.method == planned.method && trial.icp == planned.icp &&
          trial.count == planned.count && trial.number == planned.number &&
+         trial.label_neighbor_count == planned.label_neighbor_count &&
          trial.reading_point_count == planned.reading_point_count &&
          std::abs(trial.initial_translation_m - planned.initial_translation_m) <
              kRounding &&

@@ -48,6 +48,7 @@ struct Trial {
   core::IcpMethod icp = core::IcpMethod::kPointToPlane;
   /// Of EvaluationOptions.
   double min_normal_cosine = 0;
+  int label_neighbor_count = 0;
   int64_t reading_point_count = 0;
   int64_t count = 0;
   int number = 0;
@@ -100,7 +101,8 @@ absl::StatusOr<int64_t> CountDone(const EvaluationOptions& options,
 /// its points kept, at the sampled points. Covariances for plane-to-plane are
 /// those that the service gives: of the labels that the method itself found, or
 /// of the votes on the whole scan for methods that label nothing. Votes have
-/// the default options; spatial-spdf has a density radius of 0.2 m. ICP pairs
+/// the default options; spatial-spdf has a density radius of 0.2 m, and the
+/// methods by the filter options.label_neighbor_count. ICP pairs
 /// two neighbours, leaves out those whose normals differ by more than
 /// options.min_normal_cosine allows (the normals of point-to-plane, with either
 /// ICP), keeps 75 % of the rest and makes 45 steps at most.

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "absl/strings/str_cat.h"
+#include "core/spdf/spdf_options.h"
 
 namespace mapsieve::client {
 namespace {
@@ -90,6 +91,13 @@ absl::Status EvaluationOptions::Validate() const {
   if (!(min_normal_cosine >= 0 && min_normal_cosine <= 1)) {
     return wrong("min_normal_cosine is ", min_normal_cosine,
                  "; expected 0 to 1");
+  }
+  if (label_neighbor_count != 0 &&
+      (label_neighbor_count < core::kMinNeighborCount ||
+       label_neighbor_count > core::kMaxNeighborCount)) {
+    return wrong("label_neighbor_count is ", label_neighbor_count,
+                 "; expected 0, or ", core::kMinNeighborCount, " to ",
+                 core::kMaxNeighborCount);
   }
   if (reading_point_count != 0 && reading_point_count < 10) {
     return wrong("reading_point_count is ", reading_point_count,

@@ -71,6 +71,9 @@ struct EvaluationOptions {
   /// default was chosen by registrations of simulated pairs of numbers 40
   /// to 54.
   double min_normal_cosine = 0.5;
+  /// core::SpdfOptions::label_neighbor_count of the methods by the filter; 0 or
+  /// 6 to 127. The votes on whole scans have the default.
+  int label_neighbor_count = 0;
   /// Above 0, 10 or more: of every reading so many points at random, or all of
   /// them, whatever the method and the count: a robot's own scan, registered to
   /// a map that is sampled. 0: readings are sampled as references are.

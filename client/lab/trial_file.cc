@@ -16,7 +16,7 @@
 namespace mapsieve::client {
 namespace {
 
-constexpr size_t kColumnCount = 19;
+constexpr size_t kColumnCount = 20;
 
 constexpr std::array kOutcomes = {
     TrialOutcome::kConverged, TrialOutcome::kIterationLimit,
@@ -68,7 +68,8 @@ std::string_view TrialOutcomeName(TrialOutcome outcome) {
 
 std::string_view TrialHeader() {
   return "pair,environment,method,icp,min_normal_cosine,"
-         "reading_point_count,count,trial,initial_translation_m,initial_"
+         "label_neighbor_count,reading_point_count,count,trial,initial_"
+         "translation_m,initial_"
          "rotation_deg,outcome,reading_points,"
          "reference_points,iterations,degenerate_directions,"
          "translation_error_m,rotation_error_deg,sample_s,icp_s\n";
@@ -76,15 +77,15 @@ std::string_view TrialHeader() {
 
 std::string TrialLine(const Trial& t) {
   return absl::StrFormat(
-      "%s,%s,%s,%s,%.9f,%d,%d,%d,%.9f,%.9f,%s,%d,%d,%d,%d,%.9f,%.9f,%.6f,%."
+      "%s,%s,%s,%s,%.9f,%d,%d,%d,%d,%.9f,%.9f,%s,%d,%d,%d,%d,%.9f,%.9f,%.6f,%."
       "6f\n",
       t.pair, std::string(EnvironmentName(t.environment)), t.method,
       std::string(IcpMethodName(t.icp)), t.min_normal_cosine,
-      t.reading_point_count, t.count, t.number, t.initial_translation_m,
-      t.initial_rotation_deg, std::string(TrialOutcomeName(t.outcome)),
-      t.reading_points, t.reference_points, t.iteration_count,
-      t.degenerate_count, t.translation_error_m, t.rotation_error_deg,
-      t.sample_s, t.icp_s);
+      t.label_neighbor_count, t.reading_point_count, t.count, t.number,
+      t.initial_translation_m, t.initial_rotation_deg,
+      std::string(TrialOutcomeName(t.outcome)), t.reading_points,
+      t.reference_points, t.iteration_count, t.degenerate_count,
+      t.translation_error_m, t.rotation_error_deg, t.sample_s, t.icp_s);
 }
 
 absl::StatusOr<Trial> ParseTrial(std::string_view line) {
@@ -98,22 +99,23 @@ absl::StatusOr<Trial> ParseTrial(std::string_view line) {
   const std::optional<Environment> environment = EnvironmentOfName(cells[1]);
   t.method = cells[2];
   const std::optional<core::IcpMethod> icp = IcpMethodOfName(cells[3]);
-  const std::optional<TrialOutcome> outcome = OutcomeOfName(cells[10]);
+  const std::optional<TrialOutcome> outcome = OutcomeOfName(cells[11]);
   if (!environment || !icp || !outcome ||
       !absl::SimpleAtod(cells[4], &t.min_normal_cosine) ||
-      !absl::SimpleAtoi(cells[5], &t.reading_point_count) ||
-      !absl::SimpleAtoi(cells[6], &t.count) ||
-      !absl::SimpleAtoi(cells[7], &t.number) ||
-      !absl::SimpleAtod(cells[8], &t.initial_translation_m) ||
-      !absl::SimpleAtod(cells[9], &t.initial_rotation_deg) ||
-      !absl::SimpleAtoi(cells[11], &t.reading_points) ||
-      !absl::SimpleAtoi(cells[12], &t.reference_points) ||
-      !absl::SimpleAtoi(cells[13], &t.iteration_count) ||
-      !absl::SimpleAtoi(cells[14], &t.degenerate_count) ||
-      !absl::SimpleAtod(cells[15], &t.translation_error_m) ||
-      !absl::SimpleAtod(cells[16], &t.rotation_error_deg) ||
-      !absl::SimpleAtod(cells[17], &t.sample_s) ||
-      !absl::SimpleAtod(cells[18], &t.icp_s)) {
+      !absl::SimpleAtoi(cells[5], &t.label_neighbor_count) ||
+      !absl::SimpleAtoi(cells[6], &t.reading_point_count) ||
+      !absl::SimpleAtoi(cells[7], &t.count) ||
+      !absl::SimpleAtoi(cells[8], &t.number) ||
+      !absl::SimpleAtod(cells[9], &t.initial_translation_m) ||
+      !absl::SimpleAtod(cells[10], &t.initial_rotation_deg) ||
+      !absl::SimpleAtoi(cells[12], &t.reading_points) ||
+      !absl::SimpleAtoi(cells[13], &t.reference_points) ||
+      !absl::SimpleAtoi(cells[14], &t.iteration_count) ||
+      !absl::SimpleAtoi(cells[15], &t.degenerate_count) ||
+      !absl::SimpleAtod(cells[16], &t.translation_error_m) ||
+      !absl::SimpleAtod(cells[17], &t.rotation_error_deg) ||
+      !absl::SimpleAtod(cells[18], &t.sample_s) ||
+      !absl::SimpleAtod(cells[19], &t.icp_s)) {
     return absl::InvalidArgumentError("is not the line of a registration");
   }
   t.environment = *environment;

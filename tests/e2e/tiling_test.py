@@ -119,7 +119,7 @@ class Tiling(unittest.TestCase):
     def test_campus(self):
         path = self.work / "campus.las"
         mapsieve("simulate", path, "--points", 2_500_000 if LARGE else 40_000)
-        self.check_file(path, ("--rho", "0.2"))
+        self.check_file(path, ("--rho", "0.2", "--label-neighbors", "90"))
 
     def test_real_maps(self):
         if DATA is None:

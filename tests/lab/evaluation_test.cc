@@ -221,6 +221,32 @@ TEST(Evaluation, PairsNoPointsWhoseNormalsDisagree) {
   }
 }
 
+TEST(Evaluation, LabelsOfTheFilterAreByAsManyNeighboursAsItIsTold) {
+  const TemporaryDirectory folder;
+  SmallEvaluation small;
+  small.options.counts = {400};
+  // Of each method, with k and with fewer.
+  std::map<std::string, std::map<int, std::vector<double>>> errors;
+  for (const int label_neighbor_count : {0, 12}) {
+    const std::string path =
+        folder / (std::to_string(label_neighbor_count) + ".csv");
+    small.options.label_neighbor_count = label_neighbor_count;
+    MAPSIEVE_ASSERT_OK(RunEvaluation(small.options, small.pairs, path));
+    MAPSIEVE_ASSERT_OK_AND_ASSIGN(const std::vector<Trial> trials,
+                                  ReadTrials(path));
+    for (const Trial& trial : trials) {
+      EXPECT_EQ(trial.label_neighbor_count, label_neighbor_count);
+      errors[trial.method][label_neighbor_count].push_back(
+          trial.translation_error_m);
+    }
+  }
+  ASSERT_EQ(errors.size(), 3u);
+  for (const auto& [method, by_count] : errors) {
+    EXPECT_EQ(by_count.at(0) != by_count.at(12), method == "spatial-spdf-quota")
+        << method;
+  }
+}
+
 TEST(Evaluation, TakesAsManyPointsOfEveryReadingAsItIsTold) {
   const TemporaryDirectory folder;
   SmallEvaluation small;
@@ -270,6 +296,9 @@ TEST(Evaluation, RefusesTheFileOfAnother) {
   expect_refused(other, small.pairs);
   other = small.options;
   other.min_normal_cosine = 0.001;
+  expect_refused(other, small.pairs);
+  other = small.options;
+  other.label_neighbor_count = 40;
   expect_refused(other, small.pairs);
   other = small.options;
   other.reading_point_count = 100;
@@ -391,6 +420,9 @@ TEST(EvaluationOptions, HaveLimits) {
   expect_wrong({.min_normal_cosine = -0.1}, "min_normal_cosine is -0.1");
   expect_wrong({.min_normal_cosine = 1.01}, "min_normal_cosine is 1.01");
   expect_wrong({.min_normal_cosine = NAN}, "min_normal_cosine");
+  expect_wrong({.label_neighbor_count = 5},
+               "label_neighbor_count is 5; expected 0, or 6 to 127");
+  expect_wrong({.label_neighbor_count = 128}, "label_neighbor_count is 128");
   expect_wrong({.reading_point_count = 9}, "reading_point_count is 9");
 }
 
@@ -400,6 +432,7 @@ TEST(TrialFile, LinesComeBack) {
                  .method = "spdf-quota",
                  .icp = IcpMethod::kPlaneToPlane,
                  .min_normal_cosine = 0.8,
+                 .label_neighbor_count = 25,
                  .reading_point_count = 30,
                  .count = 2000,
                  .number = 3,
@@ -417,7 +450,7 @@ TEST(TrialFile, LinesComeBack) {
   const std::string line = TrialLine(trial);
   EXPECT_EQ(
       line,
-      "a b,unstructured,spdf-quota,plane-to-plane,0.800000000,30,2000,3,"
+      "a b,unstructured,spdf-quota,plane-to-plane,0.800000000,25,30,2000,3,"
       "0.250000000,12.500000000,no-sample,5,6,7,3,inf,inf,0.500000,0.250000\n");
   MAPSIEVE_ASSERT_OK_AND_ASSIGN(const Trial back,
                                 ParseTrial(line.substr(0, line.size() - 1)));
@@ -426,7 +459,7 @@ TEST(TrialFile, LinesComeBack) {
             std::count(TrialHeader().begin(), TrialHeader().end(), ','));
   EXPECT_THAT(ParseTrial("a,b,c"),
               StatusIs(absl::StatusCode::kInvalidArgument, ::testing::_));
-  EXPECT_THAT(ParseTrial("a,real,m,none,0,0,1,0,0,0,skipped,0,0,0,0,0,0,0,0"),
+  EXPECT_THAT(ParseTrial("a,real,m,none,0,0,0,1,0,0,0,skipped,0,0,0,0,0,0,0,0"),
               StatusIs(absl::StatusCode::kInvalidArgument, ::testing::_));
 }
 
