@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/spdf/spdf_options.h"
 
 namespace mapsieve::client {
@@ -92,13 +93,7 @@ absl::Status EvaluationOptions::Validate() const {
     return wrong("min_normal_cosine is ", min_normal_cosine,
                  "; expected 0 to 1");
   }
-  if (label_neighbor_count != 0 &&
-      (label_neighbor_count < core::kMinNeighborCount ||
-       label_neighbor_count > core::kMaxNeighborCount)) {
-    return wrong("label_neighbor_count is ", label_neighbor_count,
-                 "; expected 0, or ", core::kMinNeighborCount, " to ",
-                 core::kMaxNeighborCount);
-  }
+  MAPSIEVE_RETURN_IF_ERROR(core::CheckLabelNeighborCount(label_neighbor_count));
   if (reading_point_count != 0 && reading_point_count < 10) {
     return wrong("reading_point_count is ", reading_point_count,
                  "; expected 0, or 10 or more");

@@ -68,9 +68,8 @@ std::string_view TrialOutcomeName(TrialOutcome outcome) {
 
 std::string_view TrialHeader() {
   return "pair,environment,method,icp,min_normal_cosine,"
-         "label_neighbor_count,reading_point_count,count,trial,initial_"
-         "translation_m,initial_"
-         "rotation_deg,outcome,reading_points,"
+         "label_neighbor_count,reading_point_count,count,trial,"
+         "initial_translation_m,initial_rotation_deg,outcome,reading_points,"
          "reference_points,iterations,degenerate_directions,"
          "translation_error_m,rotation_error_deg,sample_s,icp_s\n";
 }

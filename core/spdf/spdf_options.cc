@@ -50,14 +50,16 @@ absl::Status CheckNeighborCount(int count) {
                    kMinNeighborCount, " to ", kMaxNeighborCount));
 }
 
+absl::Status CheckLabelNeighborCount(int count) {
+  if (count == 0 || IsNeighborCount(count)) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "label_neighbor_count is ", count, "; it must be ", kMinNeighborCount,
+      " to ", kMaxNeighborCount, ", or 0 for as many as neighbor_count"));
+}
+
 absl::Status SpdfOptions::Validate(const Lattice& lattice) const {
   MAPSIEVE_RETURN_IF_ERROR(CheckNeighborCount(neighbor_count));
-  if (label_neighbor_count != 0 && !IsNeighborCount(label_neighbor_count)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "label_neighbor_count is ", label_neighbor_count, "; it must be ",
-        kMinNeighborCount, " to ", kMaxNeighborCount,
-        ", or 0 for as many as neighbor_count"));
-  }
+  MAPSIEVE_RETURN_IF_ERROR(CheckLabelNeighborCount(label_neighbor_count));
   // Negated comparisons refuse NaN too.
   if (!(vote_scale_m2 > 0) || !std::isfinite(vote_scale_m2)) {
     return absl::InvalidArgumentError(absl::StrCat(

@@ -70,6 +70,8 @@ inline constexpr int kMaxRoundCount = 15;
 
 /// kInvalidArgument unless SpdfOptions::neighbor_count may be `count`.
 absl::Status CheckNeighborCount(int count);
+/// The same of SpdfOptions::label_neighbor_count.
+absl::Status CheckLabelNeighborCount(int count);
 
 /// SpdfOptions as the integers and floats that the filter computes with.
 struct SpdfConstants {

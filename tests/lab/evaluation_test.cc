@@ -421,7 +421,7 @@ TEST(EvaluationOptions, HaveLimits) {
   expect_wrong({.min_normal_cosine = 1.01}, "min_normal_cosine is 1.01");
   expect_wrong({.min_normal_cosine = NAN}, "min_normal_cosine");
   expect_wrong({.label_neighbor_count = 5},
-               "label_neighbor_count is 5; expected 0, or 6 to 127");
+               "label_neighbor_count is 5; it must be 6 to 127, or 0");
   expect_wrong({.label_neighbor_count = 128}, "label_neighbor_count is 128");
   expect_wrong({.reading_point_count = 9}, "reading_point_count is 9");
 }
